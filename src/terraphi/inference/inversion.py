@@ -196,7 +196,10 @@ def _answers(
                 answers.append(_answer(strokes, law, calibration, reason, began))
         # One soil has one density, and the law that was named is one of legs.
         density, sd = answers[0].density_kg_m3, answers[0].density_sd_kg_m3 or 0.0
-        tools = [replace(tool, density_kg_m3=density, density_sd_kg_m3=sd) for tool in tools]
+        tools = [
+            replace(tool, density_kg_m3=density, density_sd_kg_m3=sd, density_assumed=False)
+            for tool in tools
+        ]
         law = None
     if tools:
         from terraphi.inference.pressed import invert_pressed
@@ -383,8 +386,8 @@ def _answer(
     return Answer(
         convention=law.convention, verdict=verdict, reason=reason, edge=edge,
         budget_deg=likelihood.budget() if likelihood.beyond is None else {},
-        density_kg_m3=first.bulk_density[0], density_sd_kg_m3=first.bulk_density[1],
-        density_assumed=first.density_kg_m3 is None or first.density_assumed,
+        density_kg_m3=first.density_kg_m3, density_sd_kg_m3=first.density_sd_kg_m3,
+        density_assumed=first.density_assumed,
         phi_of_force_deg=scaled,
         phi_if_damp_deg=likelihood.at_cohesion(DAMP_PA) if is_sound and is_dry else None,
         law=law.name, law_reason=law_reason, second_opinion=opinion,

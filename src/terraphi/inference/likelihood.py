@@ -233,8 +233,8 @@ class Likelihood:
             self.law: LegLaw = law_of(library, first.rig, first.scenario)
         except InputError as error:
             raise InputError(f"{first.source}: {error}") from None
-        self.density, sd = first.bulk_density
-        self.density_sd = sd / self.density
+        self.density = first.density_kg_m3
+        self.density_sd = first.density_sd_kg_m3 / self.density
         ends = np.cumsum([0, *(r.data.size for r in records)])
         self.parts = [slice(int(a), int(b)) for a, b in itertools.pairwise(ends)]
         self.data = np.concatenate([record.data.ravel() for record in records])

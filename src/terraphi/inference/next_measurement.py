@@ -162,7 +162,7 @@ def plan(
         read = f"phi = {phi_deg:g} is {phi_deg + offset_deg:.1f}° as law legs reads it"
         raise InputError(f"{read}, outside its {low:g} to {high:g}°; give another")
     curves = law.forces(
-        apparatus, phi_deg + offset_deg, density=record.bulk_density[0],
+        apparatus, phi_deg + offset_deg, density=record.density_kg_m3,
         cohesion_pa=record.cohesion_pa,
     )  # fmt: skip
     # Forces come as late as those of other records of this shape.

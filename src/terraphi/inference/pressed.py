@@ -26,13 +26,12 @@ from terraphi.experiment.errors import InputError, nearest
 from terraphi.experiment.files import label_of
 from terraphi.experiment.history import resolution
 from terraphi.experiment.pressed_reading import Pressed, read_pressed
-from terraphi.experiment.priors import CONTACT_SD_M, CONTACT_SD_PART
+from terraphi.experiment.priors import CONTACT_SD_M, CONTACT_SD_PART, DENSITY
 from terraphi.experiment.rig import Tool
 from terraphi.experiment.wheel_reading import Rolled, read_rolled
 from terraphi.inference.answer import Answer, Estimate, RecordFit
 from terraphi.inference.estimator import least_squares, weights
 from terraphi.inference.records import (
-    InSoil,
     density_warnings,
     density_with_sd,
     grain_size,
@@ -106,13 +105,13 @@ RANGE_DEG = np.arange(10.0, 55.5, 0.5)
 
 
 @dataclass(frozen=True, eq=False)
-class PressedRecord(InSoil):
+class PressedRecord:
     """Force over sinkage of a tool that was pressed straight down, or rows of a wheel.
 
     Attributes
     ----------
-    source, density_kg_m3, density_sd_kg_m3, grain_size_mm
-        As of :class:`~terraphi.inference.records.Record`; ``None`` is an unknown density.
+    source, density_kg_m3, density_sd_kg_m3, density_assumed, grain_size_mm
+        As of :class:`~terraphi.inference.records.Record`.
     rig
         The plate or ball.
     table
@@ -122,8 +121,9 @@ class PressedRecord(InSoil):
     source: str
     rig: Tool
     table: Pressed | Rolled
-    density_kg_m3: float | None = None
-    density_sd_kg_m3: float = 0.0
+    density_kg_m3: float
+    density_sd_kg_m3: float
+    density_assumed: bool
     grain_size_mm: float = 0.0
 
     @property
@@ -144,13 +144,13 @@ def tool_answer(
     adds, and ``values`` are those of :class:`~terraphi.inference.answer.Answer`. ``friction`` is
     that of the tool unless it was inferred.
     """
-    rho, rho_sd = record.bulk_density
-    assumed = [f"The density {rho:g} kg/m³ is assumed."] if record.density_kg_m3 is None else []
+    rho = record.density_kg_m3
+    assumed = [f"The density {rho:g} kg/m³ is assumed."] if record.density_assumed else []
     verdict, reason, edge = judgment
     return Answer(
         convention="plane_strain", verdict=verdict, reason=reason, edge=edge,
-        density_kg_m3=rho, density_sd_kg_m3=rho_sd,
-        density_assumed=bool(assumed), law=str(law or "foot"),
+        density_kg_m3=rho, density_sd_kg_m3=record.density_sd_kg_m3,
+        density_assumed=record.density_assumed, law=str(law or "foot"),
         law_reason="" if law else "the default for this tool",
         leg_friction=record.rig.friction if friction is None else friction,
         grid_deg=posterior[0], density=posterior[1],
@@ -192,9 +192,9 @@ def open_pressed(
     )  # fmt: skip
     is_file = isinstance(source, str | Path)
     label = label_of(source) if is_file else f"{type(source).__name__} ({tool})"
-    mean, sd = (None, 0.0) if density is None else density_with_sd(density, label)
+    mean, sd = DENSITY if density is None else density_with_sd(density, label)
     grains = grain_size(grain_size_mm, 2e3 * tool.radius, label)
-    return PressedRecord(label, tool, table, mean, sd, grains)
+    return PressedRecord(label, tool, table, mean, sd, density is None, grains)
 
 
 @dataclass(frozen=True, eq=False)
@@ -289,7 +289,7 @@ def invert_pressed(record: PressedRecord, law: Any = None) -> Answer:
         from terraphi.inference.rolled import invert_rolled
 
         return invert_rolled(record, law)
-    rho, rho_sd = record.bulk_density
+    rho, rho_sd = record.density_kg_m3, record.density_sd_kg_m3
     grains = record.grain_size_mm / (2e3 * tool.radius)
     z, force, used, notes = _virgin(table.sinkage, table.force, table.notes, label)
     press = _Press(tool, name, rho, z, force, roughness(force), grains)

@@ -72,22 +72,8 @@ records of grains and 12 of Li et al., rounded to 0 to 8 % of the largest, none 
 times, and a top as flat as 1 − θ⁴ has 4.6; clipped at 70 % of it 8 to 9 of 10 have."""
 
 
-class InSoil:
-    """Base of records: what is known of the soil."""
-
-    density_kg_m3: float | None
-    density_sd_kg_m3: float
-
-    @property
-    def bulk_density(self) -> tuple[float, float]:
-        """Bulk density and its standard deviation [kg/m³], those of the prior if it is unknown."""
-        if self.density_kg_m3 is None:
-            return DENSITY
-        return self.density_kg_m3, self.density_sd_kg_m3
-
-
 @dataclass(frozen=True, eq=False)
-class Record(InSoil):
+class Record:
     """One force history, ready to be compared with a library.
 
     Attributes
@@ -99,8 +85,8 @@ class Record(InSoil):
     rig
         The apparatus.
     density_kg_m3, density_sd_kg_m3, density_assumed
-        Bulk density of the soil [kg/m³], its standard deviation, and whether it is a guess; the
-        density is ``None`` if nothing is known.
+        Bulk density of the soil [kg/m³], its standard deviation, and whether it is a guess, such as
+        that of the prior.
     scenario, simulated
         Of a simulated history, if it carries one; and whether the forces are a simulation's.
     measurement
@@ -128,9 +114,9 @@ class Record(InSoil):
     source: str
     history: ForceHistory
     rig: Rig
-    density_kg_m3: float | None = None
-    density_sd_kg_m3: float = 0.0
-    density_assumed: bool = False
+    density_kg_m3: float = DENSITY.mean
+    density_sd_kg_m3: float = DENSITY.sd
+    density_assumed: bool = True
     scenario: Scenario | None = None
     simulated: bool = False
     measurement: str = ""
@@ -150,8 +136,8 @@ class Record(InSoil):
     def conditions(self) -> tuple[object, ...]:
         """All that records have in common that are strokes of one rig in one state of the soil."""
         cell = self.scenario and self.scenario.numerics.cell_size
-        return (self.rig, self.channels, self.bulk_density, self.grain_size_mm, self.gain_sd,
-                self.simulated, cell)  # fmt: skip
+        return (self.rig, self.channels, self.density_kg_m3, self.density_sd_kg_m3,
+                self.grain_size_mm, self.gain_sd, self.simulated, cell)  # fmt: skip
 
     @property
     def channels(self) -> tuple[str, ...]:
@@ -474,7 +460,7 @@ def record_of(
         raise InputError(f"{name}: Fx and Fz of a simulation are needed")
     apparatus = _apparatus(measurement, rig, leg)
     stated = measurement.density_kg_m3 if density is None else density
-    mean, sd = (None, 0.0) if stated is None else density_with_sd(stated, name)
+    mean, sd = DENSITY if stated is None else density_with_sd(stated, name)
     factor, gain_sd = SENSOR_GAIN.mean, None
     if gain is not None:
         factor, gain_sd = with_sd(f"{name}: gain", gain, "it as 1.05 or 1.05±0.01", (0.1, 10.0))
@@ -497,7 +483,7 @@ def record_of(
         rig=apparatus,
         density_kg_m3=mean,
         density_sd_kg_m3=0.0 if scenario is not None and density is None else sd,
-        density_assumed=measurement.density_assumed and density is None,
+        density_assumed=stated is None or (measurement.density_assumed and density is None),
         scenario=scenario,
         simulated=scenario is not None if simulated is None else simulated,
         measurement=str(raw.provenance.get("measurement", "")),

@@ -239,7 +239,7 @@ def _opened(record: PressedRecord, law: Any) -> tuple[_Roll, _Mean, float, list[
         raise InputError(f"{record.source}: rows of {tool}, not of a wheel")
     wheel, grain = wheel_of(tool), 1e-3 * record.grain_size_mm
     rows, notes = usable(record.table, wheel, record.source)
-    rho, rho_sd = record.bulk_density
+    rho, rho_sd = record.density_kg_m3, record.density_sd_kg_m3
     sinkage = np.minimum(rows["sinkage"] + 0.5 * grain, DEEPEST * wheel.reach)
     roll = _Roll(wheel, rho, rows, sinkage, tool.friction, name)
     # A row that no angle of the law explains tells nothing about the others.
@@ -642,7 +642,7 @@ def _unsunk_answer(record: PressedRecord, table: Rolled, law: Any, began: float)
         raise InputError(f"{record.source}: a wheel with side slip needs a sinkage")
     order = np.argsort(rows["slip"], kind="stable")
     resisted = _Resisted(wheel, {name: row[order] for name, row in rows.items()})
-    rho, rho_sd = record.bulk_density
+    rho, rho_sd = record.density_kg_m3, record.density_sd_kg_m3
     measured = resisted.share(*(resisted.rows.get(name) for name in MEASURED))
     smooth, rough = np.clip(tool.friction + np.array([-ROUGHER, ROUGHER]), *FRICTIONS[::2])
     curves, sunk = resisted.curves([tool.friction, smooth, rough], [rho, rho + rho_sd])
