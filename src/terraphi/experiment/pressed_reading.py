@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal
 
 import numpy as np
 
-from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.reading import FEWEST_ROWS, PRESSED, ColumnReader, Columns, ForceUnit
+from terraphi.experiment.tables import ToolTable
 
 EXCHANGED, FEWEST_EXCHANGED = 0.02, 3
 """Share of the steps, and their number, in which a body rises while its force grows, from which
@@ -33,25 +33,7 @@ class PressColumns(Columns):
     """Unit of the pressure; if not given, that of the header."""
 
 
-class Pressed(NamedTuple):
-    """A body pressed in, in the order of time."""
-
-    sinkage: FloatArray
-    """Positive into the soil, from the zero of the table [m]."""
-    force: FloatArray
-    """Up on the body [N]."""
-    rows: int
-    """Number of rows of the table."""
-    notes: list[str]
-    """What was guessed and left out."""
-
-    @property
-    def values(self) -> dict[str, FloatArray]:
-        """By name, as of :class:`~terraphi.experiment.wheel_reading.Rolled`."""
-        return {"sinkage": self.sinkage, "force": self.force}
-
-
-def read_pressed(source: Any, area: float, columns: Any = None) -> Pressed:
+def read_pressed(source: Any, area: float, columns: Any = None) -> ToolTable:
     """Read sinkage and force, or pressure on an area [m²]; columns, units and signs are guessed.
 
     Raises
@@ -95,4 +77,4 @@ def read_pressed(source: Any, area: float, columns: Any = None) -> Pressed:
         contrary = f"the body rises while its force grows in {rises.sum()} of {rises.size} steps"
         remedy = f"check whether sinkage and {role} are exchanged, or average rows if it is noise"
         reader.refuse(f"{contrary}; {remedy}")
-    return Pressed(sinkage, force, len(full), reader.notes)
+    return ToolTable({"sinkage": sinkage, "force": force}, len(full), reader.notes)

@@ -17,7 +17,7 @@ import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from packaging.version import Version
@@ -97,6 +97,26 @@ class Table:
     def place(self, i: int) -> str:
         """Where a row stands, such as ``line 12``."""
         return f"{self.kind} {self.lines[i]}"
+
+
+class ToolTable(NamedTuple):
+    """Rows of a body pressed in, in the order of time, or of a wheel."""
+
+    values: dict[str, FloatArray]
+    """By name, shape [row] each. Of a body pressed in ``sinkage``, positive into the soil, from the
+    zero of the table [m], and ``force``, up on the body [N]. Of a wheel ``slip``, 1 − v / (ω R) of
+    a driven one and ω R / v − 1 of a braked one [-]; ``load`` [N]; ``sinkage`` [m], NaN if there is
+    none; ``side_slip`` [deg]; where they were measured ``pull`` and ``side`` [N], ``torque`` [N m],
+    ``travel`` [m], ``time`` [s]."""
+    rows: int
+    """Number of rows of the table."""
+    notes: list[str]
+    """What was guessed and left out."""
+
+    @property
+    def has_sinkage(self) -> bool:
+        """True if the sinkage of a row was measured."""
+        return bool(np.isfinite(self.values["sinkage"]).any())
 
 
 def read_table(path: Path) -> Table:

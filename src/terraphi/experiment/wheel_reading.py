@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal
 
 import numpy as np
 
 from terraphi.experiment.arrays import BoolArray, FloatArray
 from terraphi.experiment.reading import WHEEL, ColumnReader, Columns, ForceUnit
+from terraphi.experiment.tables import ToolTable
 
 SPEEDS = ("wheel_speed", "rotation", "travel_speed")
 """Columns from which the slip follows."""
@@ -63,25 +64,7 @@ class WheelColumns(Columns):
     """Unit of the forces; if not given, that of the header."""
 
 
-class Rolled(NamedTuple):
-    """Rows of a wheel."""
-
-    values: dict[str, FloatArray]
-    """By name, shape [row] each: ``slip``, 1 − v / (ω R) of a driven wheel and ω R / v − 1 of a
-    braked one [-]; ``load`` [N]; ``sinkage`` [m], NaN if there is none; ``side_slip`` [deg]; where
-    they were measured ``pull`` and ``side`` [N], ``torque`` [N m], ``travel`` [m], ``time`` [s]."""
-    rows: int
-    """Number of rows of the table."""
-    notes: list[str]
-    """What was guessed and left out."""
-
-    @property
-    def has_sinkage(self) -> bool:
-        """True if the sinkage of a row was measured."""
-        return bool(np.isfinite(self.values["sinkage"]).any())
-
-
-def read_rolled(source: Any, radius: float, columns: Any = None) -> Rolled:
+def read_rolled(source: Any, radius: float, columns: Any = None) -> ToolTable:
     """Read the rows of a wheel of a radius to its lugs' tips [m]; columns and units are guessed.
 
     Raises
@@ -116,7 +99,7 @@ def read_rolled(source: Any, radius: float, columns: Any = None) -> Rolled:
         reader.notes.append("A side force without an angle of side slip: taken as none.")
     values = {role: column[kept] for role, column in values.items() if role not in SPEEDS}
     values["side_slip"] = np.nan_to_num(values.get("side_slip", np.zeros(int(kept.sum()))))
-    return Rolled(values, full.size, reader.notes)
+    return ToolTable(values, full.size, reader.notes)
 
 
 class _WheelTable(ColumnReader[WheelColumns]):

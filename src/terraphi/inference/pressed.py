@@ -25,10 +25,11 @@ from terraphi.experiment.arrays import BoolArray, FloatArray, IntArray, block_me
 from terraphi.experiment.errors import InputError, nearest
 from terraphi.experiment.files import label_of
 from terraphi.experiment.history import resolution
-from terraphi.experiment.pressed_reading import Pressed, read_pressed
+from terraphi.experiment.pressed_reading import read_pressed
 from terraphi.experiment.priors import CONTACT_SD_M, CONTACT_SD_PART, DENSITY
 from terraphi.experiment.rig import Tool
-from terraphi.experiment.wheel_reading import Rolled, read_rolled
+from terraphi.experiment.tables import ToolTable
+from terraphi.experiment.wheel_reading import read_rolled
 from terraphi.inference.answer import Answer, Estimate, RecordFit
 from terraphi.inference.estimator import least_squares, weights
 from terraphi.inference.records import (
@@ -120,7 +121,7 @@ class PressedRecord:
 
     source: str
     rig: Tool
-    table: Pressed | Rolled
+    table: ToolTable
     density_kg_m3: float
     density_sd_kg_m3: float
     density_assumed: bool
@@ -285,13 +286,13 @@ def invert_pressed(record: PressedRecord, law: Any = None) -> Answer:
     if name not in LAWS:
         raise InputError(f"no law '{name}' of a tool; {nearest(name, tuple(LAWS))}")
     table, label = record.table, record.source
-    if isinstance(table, Rolled):
+    if not tool.shape.foot:
         from terraphi.inference.rolled import invert_rolled
 
         return invert_rolled(record, law)
     rho, rho_sd = record.density_kg_m3, record.density_sd_kg_m3
     grains = record.grain_size_mm / (2e3 * tool.radius)
-    z, force, used, notes = _virgin(table.sinkage, table.force, table.notes, label)
+    z, force, used, notes = _virgin(table, label)
     press = _Press(tool, name, rho, z, force, roughness(force), grains)
     fit = _fit(press)
     budget = _budget(press, fit, rho_sd / rho)
@@ -467,13 +468,12 @@ def _warnings(press: _Press, fit: _Fit, *, is_sound: bool) -> list[str]:
     return sentences
 
 
-def _virgin(
-    sinkage: FloatArray, force: FloatArray, notes: list[str], label: str
-) -> tuple[FloatArray, FloatArray, int, list[str]]:
+def _virgin(table: ToolTable, label: str) -> tuple[FloatArray, FloatArray, int, list[str]]:
     """Means over windows of the readings deeper than any before, less what is read in air."""
+    sinkage, force, notes = table.values["sinkage"], table.values["force"], [*table.notes]
     # On virgin loading each reading is deeper than all before it.
     deepest = np.maximum.accumulate(np.append(-np.inf, sinkage))[:-1]
-    virgin, notes, top = sinkage > deepest, list(notes), float(force.max())
+    virgin, top = sinkage > deepest, float(force.max())
     if is_ceiling(force, top, resolution(force)):
         at = f"stays at its largest, {top:.3g} N, in {np.count_nonzero(force == top)} readings"
         raise InputError(f"{label}: the force {at}; leave them out if the sensor saturates")

@@ -43,7 +43,8 @@ from terraphi.experiment.arrays import BoolArray, FloatArray, between_rows, bloc
 from terraphi.experiment.errors import GUESSED, InputError, nearest
 from terraphi.experiment.priors import FRICTION_BY_TORQUE_SD
 from terraphi.experiment.rig import Tool
-from terraphi.experiment.wheel_reading import MEASURED, Rolled
+from terraphi.experiment.tables import ToolTable
+from terraphi.experiment.wheel_reading import MEASURED
 from terraphi.inference.answer import Answer, Estimate, RecordFit, normal_density
 from terraphi.inference.pressed import (
     LOOSE_DEG,
@@ -144,7 +145,7 @@ class _Roll:
     wheel: Wheel
     density: float
     rows: dict[str, FloatArray]
-    """Of :class:`~terraphi.experiment.wheel_reading.Rolled`."""
+    """Of :class:`~terraphi.experiment.tables.ToolTable`."""
     sinkage: FloatArray
     """With what grains add [m], shape [row]."""
     friction: float
@@ -235,7 +236,7 @@ def _opened(record: PressedRecord, law: Any) -> tuple[_Roll, _Mean, float, list[
     name, tool = str(law or "foot"), record.rig
     if name not in ("foot", "rft"):
         raise InputError(f"no law '{name}' of a wheel; {nearest(name, ('foot', 'rft'))}")
-    if not isinstance(record.table, Rolled):
+    if tool.shape.foot:
         raise InputError(f"{record.source}: rows of {tool}, not of a wheel")
     wheel, grain = wheel_of(tool), 1e-3 * record.grain_size_mm
     rows, notes = usable(record.table, wheel, record.source)
@@ -264,8 +265,8 @@ def _opened(record: PressedRecord, law: Any) -> tuple[_Roll, _Mean, float, list[
 def invert_rolled(record: PressedRecord, law: Any = None) -> Answer:
     """Infer φ from a record of a wheel; raises InputError as :func:`invert` does."""
     began = time.perf_counter()
-    if isinstance(record.table, Rolled) and not record.table.has_sinkage:
-        return _unsunk_answer(record, record.table, law, began)
+    if not record.table.has_sinkage:
+        return _unsunk_answer(record, law, began)
     return _answer(record, law, began, *_opened(record, law))
 
 
@@ -320,7 +321,7 @@ def phi_along(forces: Any, tool: Tool | str, **options: Any) -> dict[str, FloatA
     """
     law = options.pop("law", None)
     record = open_pressed(forces, Tool.of(tool), **{"columns": None, **options})
-    if isinstance(record.table, Rolled) and not record.table.has_sinkage:
+    if not record.table.has_sinkage:
         raise InputError(f"{record.source}: φ along the way needs a sinkage")
     began = time.perf_counter()
     roll, fit, density_sd, _ = opened = _opened(record, law)
@@ -356,7 +357,7 @@ def wheel_of(tool: Tool) -> Wheel:
 
 
 def usable(
-    table: Rolled, wheel: Wheel, label: str, most: int = MOST_ROWS
+    table: ToolTable, wheel: Wheel, label: str, most: int = MOST_ROWS
 ) -> tuple[dict[str, FloatArray], list[str]]:
     """Rows within what the law has, averaged in blocks where they are many; notes on the rest."""
     notes, values = list(table.notes), table.values
@@ -631,13 +632,13 @@ class _Resisted(NamedTuple):
         return model, sunk
 
 
-def _unsunk_answer(record: PressedRecord, table: Rolled, law: Any, began: float) -> Answer:
+def _unsunk_answer(record: PressedRecord, law: Any, began: float) -> Answer:
     """Infer φ from slip, load, torque and pull; raises InputError."""
     tool = record.rig
     if law not in (None, "foot"):
         raise InputError(f"{record.source}: without a sinkage wheels have law foot alone")
     wheel = wheel_of(tool)
-    rows, notes = usable(table, wheel, record.source, UNSUNK_ROWS)
+    rows, notes = usable(record.table, wheel, record.source, UNSUNK_ROWS)
     if np.abs(rows["side_slip"]).max() > STRAIGHT_DEG:
         raise InputError(f"{record.source}: a wheel with side slip needs a sinkage")
     order = np.argsort(rows["slip"], kind="stable")
