@@ -168,6 +168,28 @@ def load_cell_turned_by_its_mount() -> Export:
     }  # fmt: skip
 
 
+def on_the_leg(fx: Any = FX, fz: Any = FZ) -> Any:
+    """Forces along the leg, from tip to hip, and across it, ahead of it where it hangs down.
+
+    The tip is at (-sin θ, -cos θ): θ is negative ahead of the hip.
+    """
+    tip = np.stack([-np.sin(np.radians(THETA)), -np.cos(np.radians(THETA))])
+    return -tip[0] * fx - tip[1] * fz, -tip[1] * fx + tip[0] * fz
+
+
+@export
+def load_cell_on_the_leg() -> Export:
+    along, across = on_the_leg()
+    return text(frame(fx=across, fz=along)), {"sensor_turns": True}
+
+
+@export
+def load_cell_on_the_leg_with_its_axis_across() -> Export:
+    """Its z axis points forward where the leg hangs down, and its x axis then down."""
+    along, across = on_the_leg()
+    return text(frame(fx=-along, fz=across)), {"sensor_turns": True, "sensor_angle_deg": 90.0}
+
+
 @export
 def counts_of_an_encoder() -> Export:
     """4096 to a turn, from a zero of its own, which grows over its full turn."""
@@ -495,6 +517,24 @@ def test_a_scale_and_a_turn_are_checked(given: dict[str, Any]) -> None:
         read_forces(frame(), **given)
     with pytest.raises(InputError, match="one of them is missing"):
         read_forces(frame()[["theta", "Fx"]].assign(torque=FZ), sensor_angle_deg=30.0)
+    with pytest.raises(InputError, match="one of them is missing"):
+        read_forces(frame()[["theta", "Fx"]].assign(torque=FZ), sensor_turns=True)
+
+
+@pytest.mark.parametrize("weight", [0.0, 4.0])
+def test_a_load_cell_on_the_leg_is_tared_in_its_axes(weight: float) -> None:
+    """Its zero is constant there, and the weight of what hangs from it turns.
+
+    Both are recovered exactly where the forces in air are zero.
+    """
+    loaded = np.abs(THETA) < 76.0
+    fx, fz = loaded * FX, loaded * FZ
+    along, across = on_the_leg(fx, fz - weight)
+    table = frame(fx=across + 3.0, fz=along - 5.0)
+    air = {"air_before_deg": -78.0, "air_after_deg": 78.0}
+    read = read_forces(table, sensor_turns=True, **air)
+    np.testing.assert_allclose(read.Fx, fx, atol=1e-6)
+    np.testing.assert_allclose(read.Fz, fz, atol=1e-6)
 
 
 def test_the_steps_of_a_coarse_load_cell_turn_with_it() -> None:

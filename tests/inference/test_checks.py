@@ -5,6 +5,7 @@ from __future__ import annotations
 import functools
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -184,7 +185,7 @@ def test_the_option_that_is_offered_mends_the_record(
     assert mended.phi.median == pytest.approx(plain(name).phi.median, abs=1e-4)
 
 
-def turned_cell(history: ForceHistory, angle_deg: float) -> pd.DataFrame:
+def turned_cell(history: ForceHistory, angle_deg: Any) -> pd.DataFrame:
     """What a load cell reads whose z axis tips forward by an angle [deg]."""
     turn = np.exp(1j * np.radians(angle_deg))
     read = (history.Fx + 1j * history.Fz) * turn  # its axes turn clockwise seen from x to z
@@ -211,6 +212,23 @@ def test_a_turned_load_cell_is_named_with_its_angle(name: str, angle: float) -> 
     as_it_is = invert(replace(record.history, provenance={}), **options)
     right = invert(table, columns={"sensor_angle_deg": angle}, **options)
     assert right.phi.median == pytest.approx(as_it_is.phi.median, abs=1e-4)
+
+
+@pytest.mark.parametrize(("name", "mount"), [("poppy_loose/straight", 0), ("poppy_loose/c", 90)])
+def test_a_load_cell_on_the_leg_is_named(name: str, mount: int) -> None:
+    """And one that is not, where it was said to be."""
+    record = measurement(f"li2013:{name}")
+    history, options = record.history, {"rig": record.rig, "density": record.density_kg_m3}
+    table = turned_cell(history, history.theta_deg + mount)
+    [offer] = advice(invert(table, **options))
+    offered = offer.partition("--columns ")[2].partition(":")[0]
+    assert offered == "sensor_turns=true" + (f",sensor_angle_deg={mount:g}" if mount else "")
+    right = invert(replace(history, provenance={}), **options)
+    mended = invert(table, columns=offered, **options)
+    assert mended.verdict == "consistent"
+    assert mended.phi.median == pytest.approx(right.phi.median, abs=0.2)  # tared in other axes
+    still = invert(turned_cell(history, 0.0), columns={"sensor_turns": True}, **options)
+    assert any("sensor_turns=false" in warning for warning in advice(still))
 
 
 @pytest.mark.parametrize("scale", [0.5, 1.6])
@@ -261,7 +279,9 @@ def test_a_misfit_for_another_reason_is_advised_no_angle(name: str, damage: str)
     table = pd.DataFrame({"theta_deg": theta, "Fx_N": x, "Fz_N": z})
     answer = invert(table, rig=record.rig, density=record.density_kg_m3)
     assert not any(
-        "sensor_angle" in warning or "theta_scale" in warning for warning in answer.warnings
+        key in warning
+        for warning in answer.warnings
+        for key in ("sensor_angle", "sensor_turns", "theta_scale")
     )
 
 

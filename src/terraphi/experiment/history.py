@@ -106,7 +106,7 @@ class ProvenanceSchema(BaseModel, strict=True, extra="allow"):
     measurement: str = ""
     reading: list[str] = []
     resolution: dict[str, float] = {}
-    columns: dict[str, int | float | str] = {}
+    columns: dict[str, bool | int | float | str] = {}
     force_unit: Literal[*FORCE] = "N"  # type: ignore[valid-type]
     scenario: dict[str, Any] | None = None
 

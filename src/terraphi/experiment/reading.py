@@ -40,7 +40,10 @@ LEAST_DEG = 7.0
 """Largest angle of a record below which its angles must be radians [deg]."""
 HEAVIEST_DEG = (-60.0, 35.0)
 """Where half of the squared force has passed [deg]: -43 to 8 in the shipped measurements."""
-CHANGED = ("theta_sign", "theta_offset_deg", "fx_sign", "fz_sign", "sensor_angle_deg", "force_on")
+CHANGED = (
+    *("theta_sign", "theta_offset_deg", "fx_sign", "fz_sign", "sensor_angle_deg"),
+    *("sensor_turns", "force_on"),
+)
 """Options that change numbers, but for those of units."""
 IN_SOIL, BETWEEN_DEG = 0.3, 20.0
 """Force over its largest from which on a leg is in soil [-], and least distance between contacts,
@@ -173,6 +176,8 @@ class ForceColumns(Columns):
     """Angle α [deg] by which the load cell is turned about y, positive where its z axis tips
     forward, as θ grows: Fx = Fx' cos α + Fz' sin α and Fz = Fz' cos α - Fx' sin α, with the signs
     of Fx' and Fz' put right."""
+    sensor_turns: bool = False
+    """The load cell is mounted on the leg and turns with it: it is turned by θ + α."""
     force_on: Literal["leg", "soil"] = "leg"
     """The body that the forces act on: the leg or the soil."""
     air_before_deg: float | None = None
@@ -189,10 +194,14 @@ class ForceColumns(Columns):
         return self
 
 
-def sensor_turn(angle_deg: float) -> FloatArray:
-    """Matrix from (Fx', Fz') of a load cell turned by `sensor_angle_deg` to (Fx, Fz), [2, 2]."""
-    c, s = math.cos(math.radians(angle_deg)), math.sin(math.radians(angle_deg))
-    return np.array([[c, s], [-s, c]])
+def sensor_turn(angle_deg: float | FloatArray) -> FloatArray:
+    """Matrix from (Fx', Fz') of a load cell turned by an angle to (Fx, Fz), [..., 2, 2].
+
+    By hand: z' of a cell on the leg points from the tip to the hip where α = 0. With the leg level
+    ahead of the hip, θ = -90°, z' points backward and x' up: Fx = -Fz' and Fz = Fx'.
+    """
+    c, s = np.cos(np.radians(angle_deg)), np.sin(np.radians(angle_deg))
+    return np.moveaxis(np.array([[c, s], [-s, c]]), (0, 1), (-2, -1))
 
 
 Given = TypeVar("Given", bound=Columns)
@@ -224,6 +233,8 @@ def read_forces(source: Any, **columns: Any) -> ForceHistory:
         - ``fx_sign``, ``fz_sign``: -1 where an axis of the table points backward or down.
         - ``sensor_angle_deg``: angle by which the load cell is turned about y [deg], positive where
           its z axis tips forward; what it reads is turned back.
+        - ``sensor_turns``: true of a load cell on the leg, which is turned by θ and that angle. It
+          is tared in its own axes, in which its zero is constant and the leg's weight turns.
         - ``force_on``: ``leg`` or ``soil``, what the forces act on.
         - ``air_before_deg``, ``air_after_deg``: leg angles below and above which the leg is in air
           [deg], where the forces are tared; by default they are not.
@@ -271,6 +282,8 @@ def read_trials(
         )
     if not ours:
         values = reader.tared(theta, values)
+    if reader.given.sensor_turns:
+        values = reader.turned(theta, values)
     strokes = reader.strokes(theta, reader.forces(values))
     if is_single and len(strokes) > 1:
         reader.refuse(f"{len(strokes)} strokes; give it to invert, or cut it into files of one")
@@ -572,12 +585,14 @@ class _LegTable(ColumnReader[ForceColumns]):
             self.notes.append("The moment lacks numbers, and is not used.")
             self.channels, values = self.channels[:-1], values[:, :-1]
         steps = np.array([resolution(row) for row in values.T])
-        if given.sensor_angle_deg:
+        key = "sensor_turns" if given.sensor_turns else "sensor_angle_deg"
+        if getattr(given, key):
             if len(self.axes) < 2:
-                self.refuse("sensor_angle_deg turns Fx and Fz, and one of them is missing; drop it")
-            turn = sensor_turn(given.sensor_angle_deg)
-            values[:, :2] = values[:, :2] @ turn.T
-            steps[:2] = np.sqrt(turn**2 @ steps[:2] ** 2)
+                self.refuse(f"{key} turns Fx and Fz, and one of them is missing; drop it")
+            turn = sensor_turn(given.sensor_angle_deg + (theta if given.sensor_turns else 0.0))
+            steps[:2] = np.sqrt((turn**2 @ steps[:2] ** 2).reshape(-1, 2).mean(axis=0))
+            if not given.sensor_turns:  # else after it is tared
+                values[:, :2] = values[:, :2] @ turn.T
         kept = np.ones(len(theta), dtype=bool)
         if not _scattered(theta):  # an angle that jumps away and is back in the next row
             around = np.median(np.stack([theta[:-2], theta[1:-1], theta[2:]]), axis=0)
@@ -666,6 +681,13 @@ class _LegTable(ColumnReader[ForceColumns]):
             self.refuse(f"{' and '.join(stated)}, and {why}; give the angles in air, or none")
         self.notes += notes
         return values
+
+    def turned(self, theta: FloatArray, values: FloatArray) -> FloatArray:
+        """Channels of a cell that turns with the leg, with its forces along x and z; noted."""
+        angle = self.given.sensor_angle_deg
+        self.notes.append(f"The forces are turned from the load cell's axes, by θ {angle:+g}°.")
+        turn = sensor_turn(theta + angle)
+        return np.column_stack([np.matmul(turn, values[:, :2, None])[..., 0], values[:, 2:]])
 
     # -- strokes ---------------------------------------------------------------------------------
 

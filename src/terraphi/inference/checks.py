@@ -546,27 +546,30 @@ def _column_readings(likelihood: Likelihood, record: Record, given: float) -> It
     read_as = history.provenance.get("columns", {})  # an option that was given is turned back
 
     def sizes(changes: Iterable[FloatArray], other: ForceHistory = history) -> list[float]:
-        """Residuals of the forces turned by 2 × 2 matrices, of the record or with other angles."""
+        """Residuals with other angles and with forces changed by matrices, [2, 2] or [m, 2, 2]."""
         of_other = record if other is history else replace(record, history=other)
-        data = np.stack([change @ of_other.data for change in changes])
+        data = np.stack([(m @ of_other.data.T[..., None])[..., 0].T for m in changes])
         return _residuals(of_other, data, law, force, likelihood.measured)
 
     # Signs and axes of the forces, in the axes of the load cell.
-    cell_deg = read_as.get("sensor_angle_deg", 0.0)
-    cell = sensor_turn(cell_deg)
+    cell_deg, turns_with_leg = read_as.get("sensor_angle_deg", 0.0), "sensor_turns" in read_as
+    cell = sensor_turn(cell_deg + turns_with_leg * record.theta_deg)
+    back = np.swapaxes(cell, -1, -2)
     theta, fx, fz = (f"{n}_sign={-read_as.get(f'{n}_sign', 1)}" for n in ("theta", "fx", "fz"))
     on = "force_on=" + ("leg" if read_as.get("force_on") == "soil" else "soil")
     signs = {
-        fx: cell @ np.diag([-1.0, 1.0]) @ cell.T,
-        fz: cell @ np.diag([1.0, -1.0]) @ cell.T,
+        fx: cell @ np.diag([-1.0, 1.0]) @ back,
+        fz: cell @ np.diag([1.0, -1.0]) @ back,
         on: -np.eye(2),
     }
-    axes = signs | {"fx=FZ_COLUMN,fz=FX_COLUMN": cell @ np.eye(2)[::-1] @ cell.T}
+    axes = signs | {"fx=FZ_COLUMN,fz=FX_COLUMN": cell @ np.eye(2)[::-1] @ back}
     # The sign of θ, alone or with that of a force.
     reversed_path = replace(history, position=-history.position[::-1], force=history.force[::-1],
                             moment=None)  # fmt: skip
     turned = {theta: np.eye(2)} | {f"{option},{theta}": sign for option, sign in signs.items()}
-    for options, path in ((axes, history), (turned, reversed_path)):
+    # Not of a cell that turns: its forces along x and z would be others.
+    paths = ((axes, history), (turned, reversed_path))[: 2 - turns_with_leg]
+    for options, path in paths:
         for option, size in zip(options, sizes(options.values(), path), strict=True):
             changes = 1 + option.endswith(f",{theta}")
             yield Reading(f"--columns {option}", size, strict, strict, changes=changes)
@@ -583,7 +586,15 @@ def _column_readings(likelihood: Likelihood, record: Record, given: float) -> It
     turns = sizes(map(sensor_turn, TURNS_DEG))
     angle = (cell_deg + TURNS_DEG[int(np.argmin(turns))] + 180.0) % 360.0 - 180.0
     option, close = f"--columns sensor_angle_deg={angle:.0f}", min(strict, FITS_TURNED * limit)
-    yield Reading(option, min(turns), loose, close, "check how the load cell is mounted")
+    mounted = "check how the load cell is mounted"
+    yield Reading(option, min(turns), loose, close, mounted)
+    sign = -1.0 if turns_with_leg else 1.0
+    mounts = [0.0, 90.0, -90.0, 180.0]
+    turns = sizes(sensor_turn(a + sign * record.theta_deg) for a in mounts)
+    angle = 180.0 - (180.0 - cell_deg - mounts[int(np.argmin(turns))]) % 360.0
+    option = f"--columns sensor_turns={str(not turns_with_leg).lower()}"
+    option += f",sensor_angle_deg={angle:g}" if angle != cell_deg else ""
+    yield Reading(option, min(turns), loose, close, mounted)
 
     scaled = {}
     for scale in SCALES.tolist():

@@ -27,7 +27,7 @@ function columns(task) {
   const guessed = task === "answer" && files.length > 1 ? [] : document.querySelectorAll("#table select");
   for (const { value, dataset } of guessed) if (value) choices[value] = dataset.column;
   for (const { name, value } of by("reading").querySelectorAll("[name]")) {
-    if (value) choices[name] = Number.isNaN(Number(value)) ? value : Number(value);
+    if (value) choices[name] = value === "true" || (Number.isNaN(Number(value)) ? value : Number(value));
   }
   return choices;
 }
