@@ -372,6 +372,10 @@ def test_what_a_law_reads_too_high_is_taken_off() -> None:
     record = "li2013:glass03_loose/straight"
     plain, lower = (invert(record, law=item) for item in (usual, high))
     assert lower.phi.median == pytest.approx(plain.phi.median - 2.5, abs=0.05)
+    by_law = [answer.provenance["law_phi_deg"] for answer in (plain, lower)]
+    assert by_law == pytest.approx([by_law[0]] * 2, abs=0.05)
+    offsets = [answer.provenance["offset_deg"] for answer in (plain, lower)]
+    assert np.diff(offsets) == pytest.approx(2.5, abs=0.05)
     reads = [calibrate(record, 25.0, 1.0, law=item).soils[0].read_deg for item in (usual, high)]
     assert reads == pytest.approx([plain.phi.median, lower.phi.median], abs=0.2)
 
@@ -405,6 +409,7 @@ def test_an_angle_beyond_the_soils_that_were_learned_from_is_said() -> None:
         history = ForceHistory(np.radians(law.theta_deg), law(np.array([[phi]]))[0].T)
         answers.append(invert(history, rig="li2013", leg="straight", density=1650.0))
     inside, outside = answers
+    assert inside.provenance["law_phi_deg"] == pytest.approx(27.0, abs=0.1)
     assert any("lies outside" in question for question in outside.warnings)
     assert not any("lies outside" in question for question in inside.warnings)
 

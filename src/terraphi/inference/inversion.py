@@ -383,6 +383,7 @@ def _answer(
         scaled = dict(zip(("half", "twice"), likelihood.at_scaled_forces([0.5, 2.0]), strict=True))
     first = records[0]
     is_dry = first.cohesion_pa == first.cohesion_sd_pa == 0.0
+    offset_deg = float(likelihood.offset(np.array(phi.median)))
     return Answer(
         convention=law.convention, verdict=verdict, reason=reason, edge=edge,
         budget_deg=likelihood.budget() if likelihood.beyond is None else {},
@@ -400,6 +401,7 @@ def _answer(
         provenance={
             "terraphi": importlib.metadata.version("terraphi"),
             "law_hash": law.hash,
+            "law_phi_deg": phi.median + offset_deg, "offset_deg": offset_deg,
             "gain": [record.gain for record in records],
             "soil": {
                 "grain_size_mm": first.grain_size_mm or None,

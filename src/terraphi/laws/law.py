@@ -58,7 +58,9 @@ class AnyLaw:
     ) -> xr.Dataset:
         """Forces on the leg of a rig by a law, and their slope with φ.
 
-        They are as simulated: an answer's φ has the law's mean offset on real soils taken off.
+        They are as simulated. φ of measured forces has the law's mean offset on real soils taken
+        off, so that these curves, inverted as if they were measured, give an angle up to 5° off;
+        ``provenance["law_phi_deg"]`` of that answer has the angle by the law.
 
         Parameters
         ----------

@@ -118,8 +118,12 @@ def tables(answer: Answer) -> list[Table]:
         )
         for record in answer.records
     ]  # fmt: skip
+    note, offset_deg = "", answer.provenance.get("offset_deg")
+    if offset_deg:
+        by_law = f"Law {answer.law} reads {answer.provenance['law_phi_deg']:.1f}° off these forces"
+        note = f"{by_law}; of measured ones its mean offset of {offset_deg:+.1f}° is subtracted."
     parts = [
-        Table("Standard deviation of φ by term", ("term", "[deg]", "size is"), terms),
+        Table("Standard deviation of φ by term", ("term", "[deg]", "size is"), terms, note),
         Table(
             "Records",
             ("source", "rig", "readings", "left out", "residuals", "shift of θ"),
