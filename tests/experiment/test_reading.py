@@ -367,6 +367,17 @@ def test_glitches_of_the_encoder_are_left_out() -> None:
     assert history.Fz == pytest.approx(FZ[kept])
 
 
+@pytest.mark.parametrize("code", [-999.0, 9999.0])
+def test_codes_of_lost_readings_are_no_numbers(code: float) -> None:
+    lost = np.isin(np.arange(N), [60, 61, 62, 150])
+    history = read_forces(frame(fx=np.where(lost, code, FX), fz=np.where(lost, code, FZ)))
+    assert history.theta_deg == pytest.approx(THETA[~lost])
+    assert history.Fx == pytest.approx(FX[~lost])
+    # One alone may be a spike, and larger forces have such values.
+    large = 999.0 * FX / np.abs(FX).max()
+    assert len(read_forces(frame(fx=np.where(lost, 999.0, large))).Fx) == N
+
+
 def test_turns_of_a_rotating_leg_are_trials() -> None:
     theta = np.arange(-180.0, 900.0, 1.0)
     angle = (theta + 180.0) % 360.0 - 180.0

@@ -99,8 +99,20 @@ def test_grains_lie_within_the_interval(name: str) -> None:
     density = float(re.findall(r"density (\d+)", path.read_text(encoding="utf-8"))[0])
     tool = "plate:60" if "disc" in name else "ball:44"
     table = pd.read_csv(path, comment="#")[["depth_mm", "Fz_N"]]
-    low, high = terraphi.invert(table, tool=tool, density=density).phi.ci95
+    answer = terraphi.invert(table, tool=tool, density=density)
+    low, high = answer.phi.ci95
     assert low < CRITICAL_DEG[name] < high
+    assert not any("under a plate" in warning for warning in answer.warnings)
+
+
+def test_a_plate_that_is_given_as_a_ball_is_noticed() -> None:
+    """By the growth of its force, or a pressure, which a ball has none of."""
+    table = pressed(30.0)
+    answer = terraphi.invert(table, tool="ball:151", density=1500)
+    assert any("under a plate" in warning for warning in answer.warnings)
+    pressure = pd.DataFrame({"s_mm": table.sinkage_mm, "pressure_kPa": table.force_N})
+    with pytest.raises(terraphi.InputError, match="pressure_kPa"):
+        terraphi.invert(pressure, tool="ball:151", density=1500)
 
 
 @pytest.mark.parametrize("long_mm", [60.0, 120.0, 300.0])

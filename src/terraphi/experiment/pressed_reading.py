@@ -33,8 +33,10 @@ class PressColumns(Columns):
     """Unit of the pressure; if not given, that of the header."""
 
 
-def read_pressed(source: Any, area: float, columns: Any = None) -> ToolTable:
+def read_pressed(source: Any, area: float | None, columns: Any = None) -> ToolTable:
     """Read sinkage and force, or pressure on an area [m²]; columns, units and signs are guessed.
+
+    A ball has no area, and a pressure is refused.
 
     Raises
     ------
@@ -53,7 +55,11 @@ def read_pressed(source: Any, area: float, columns: Any = None) -> ToolTable:
     reader.refuse_wrong()
     role = "force" if "force" in reader.names else "pressure"
     sinkage, force = reader.column("sinkage"), reader.column(role)
-    force = force * (area if role == "pressure" else 1.0)
+    if role == "pressure":
+        if area is None:
+            remedy = "give its force, or --tool plate:DIAMETER of a plate"
+            reader.refuse(f"'{reader.names[role]}' is a pressure, and a ball has none; {remedy}")
+        force = force * area
     full = np.isfinite(sinkage) & np.isfinite(force)
     if not full.all():
         reader.notes.append(f"{(~full).sum()} of {len(full)} rows lack a number and are left out.")

@@ -24,6 +24,9 @@ from terraphi.experiment.history import ForceHistory, resolution
 from terraphi.experiment.tables import CSV_COLUMNS, Table, origin, read_table, table_of
 from terraphi.experiment.units import KINDS, unit_named
 
+LOST, FAR_OUTSIDE = (999.0, 999.9, 9999.0, 9999.9, 99999.0), 2.0
+"""Sizes that stand for no reading in some loggers where they repeat, and how far beyond all others
+they then are [-], chosen."""
 TURN_DEG = 10.0
 """Least way back of the leg that ends a stroke [deg]; less is jitter of the encoder."""
 LEAST_STROKE_DEG = 38.0
@@ -480,9 +483,16 @@ class ColumnReader(Generic[Given]):
             self.notes.append(f"{GUESSED}{', '.join(guessed)}.")
 
     def column(self, role: str) -> FloatArray:
-        """A column in the first unit of its kind."""
-        _, factor = self.unit(role)
-        return np.asarray(factor * self.table.columns[self.names[role]])
+        """A column in the first unit of its kind; NaN for codes of lost readings, noted."""
+        (_, factor), name = self.unit(role), self.names[role]
+        values = np.array(self.table.columns[name], dtype=np.float64)
+        for code in LOST:
+            lost = np.abs(values) == code
+            largest = np.nanmax(np.abs(values[~lost]), initial=0.0)
+            if lost.sum() > 1 and code > FAR_OUTSIDE * largest > 0.0:
+                at, values[lost] = f"{values[lost][0]:g} in '{name[:40]}'", np.nan
+                self.notes.append(f"{at} is read as no number, in {lost.sum()} rows.")
+        return np.asarray(factor * values)
 
 
 class _LegTable(ColumnReader[ForceColumns]):

@@ -254,7 +254,8 @@ def _step(name: str, force: FloatArray, theta: FloatArray, resolution: float) ->
     # spike do not, and a slope has no jump that is large among its neighbours.
     means = np.convolve(force, np.ones(width) / width, "valid")
     jumps = means[width:] - means[:-width]
-    sharp = np.abs(np.diff(force))[width - 1 : width - 1 + len(jumps)]
+    near = np.diff(theta) <= STEP_SPACING_DEG  # across a gap the force may change
+    sharp = (near * np.abs(np.diff(force)))[width - 1 : width - 1 + len(jumps)]
     usual = np.median(np.abs(np.diff(force)))
     at = int(np.argmax(sharp))
     size = float(np.diff(force)[width - 1 + at])
