@@ -136,7 +136,7 @@ run {round(strain / ROW) * every}
 
 
 def tilted(soil: engine.Soil, folder: Path, top: float) -> str:
-    """Deck of a bed that is tilted until it flows, and back until it rests."""
+    """Deck of a bed that is tilted until it flows, and, of spheres, back until it rests."""
     steps = round(STEP_DEG / RATE_DEG / soil.time_step)
     start = CLUMPS_TILT_DEG if soil.clump else TILT_DEG
     degree = math.pi / 180.0
@@ -156,6 +156,10 @@ jump SELF {name}
 label {name}_end
 """
 
+    back = "variable turned equal ${angle}\n" + turn(
+        "back", f"${{turned}}-{STEP_DEG}*v_back", f"< {RESTS}"
+    )
+    back = "" if soil.clump else back
     return f"""{engine.header(soil, walls=False)}read_restart bed.restart
 {engine.contacts(soil)}
 {glued(soil, folder)}region upper block INF INF INF INF {0.5 * top:.5g} INF units box
@@ -164,8 +168,7 @@ fix ground low freeze
 variable speed equal vcm(upper,x)
 {turn("lean", f"{start / LEAN}*v_lean", "> 1e9", LEAN)}\
 fix mean all ave/time 1 {steps} {steps} v_angle v_speed file tilt.txt
-{turn("up", f"{start}+{STEP_DEG}*v_up", f"> {RUNS}")}variable turned equal ${{angle}}
-{turn("back", f"${{turned}}-{STEP_DEG}*v_back", f"< {RESTS}")}"""
+{turn("up", f"{start}+{STEP_DEG}*v_up", f"> {RUNS}")}{back}"""
 
 
 def shear(soil: engine.Soil, folder: Path, top: float, area: float, kind: str) -> FloatArray:
