@@ -28,19 +28,15 @@ SAME_BREADTH = 0.02
 """Difference of the breadth of legs of the same proportions [-]."""
 WORDS = """\
 Large grains under a narrow leg raise φ. `--grain-size` removes this effect. The table has the \
-error of φ without that, at 27°, and its standard deviation by the \
-[mixed model](grains.md#what-was-learned), over the diameter d of the grains and the width w of \
-the leg. At d/w = 0 nothing was simulated: the model is extrapolated, and φ in fine sand rests on \
-it.
+error of φ without it, at 27°, by the [mixed model](grains.md#what-was-learned), over the diameter \
+d of the grains and the width w of the leg. At d/w = 0 nothing was simulated: the model is \
+extrapolated, and φ in fine sand rests on it.
 
-The curve of the reversed C is below the points, because the model also learns from the media of \
-Li et al. (2013), where three legs should agree.
+The curve of the reversed C is below the points of large grains, because the model also learns \
+from the media of Li et al. (2013), where three legs should agree; legs twice as large lie near it.
 
-Legs twice as large in the same grains test the model: {drop}."""
-PICTURE = (
-    "Read less true angle over the size of the grains for three legs; diamonds are legs twice as "
-    "large in the same grains"
-)
+Legs twice as large in soils B and C (diamonds) read less: {drop}."""
+PICTURE = "Error of φ over the size of the grains; diamonds: legs twice as large"
 
 
 def points(leg: str) -> list[tuple[str, float, float]]:
@@ -90,13 +86,13 @@ def main() -> None:
                 ),
             )
         )
-        for soil in "BC":
-            usual = [e for name, _, e in of_leg if name.startswith(f"{soil}-loose_{leg}_")]
-            doubled = [e for name, _, e in of_leg if name.startswith(f"{soil}-loose_rig-double")]
-            if doubled:
-                change = np.mean(usual) - np.mean(doubled)
-                words = f"a {label} has {change:.1f}° less in soil {soil}"
-                drops.append(f"{words} ({mean[5] - mean[3]:.1f}° by the model)")
+        changes = [
+            np.mean([e for name, _, e in of_leg if name.startswith(f"{soil}-loose_{leg}_")])
+            - np.mean([e for name, _, e in of_leg if name.startswith(f"{soil}-loose_rig-double")])
+            for soil in "BC"
+        ]
+        by_soil = " and ".join(f"{change:.1f}°" for change in changes)
+        drops.append(f"a {label} by {by_soil} ({mean[5] - mean[3]:.1f}° by the model)")
     grid[0].set_ylabel("read less true φ [deg]")
     figure.savefig(out / "fine_grains.png", dpi=110)
     header = ("leg", *(f"d/w = {size:g}" for size in np.array(SIZES)[[0, 1, 3, 5, 6]]))

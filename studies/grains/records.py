@@ -37,9 +37,9 @@ STATE_STRAIN = 0.25
 """Shear strain up to which the rise of a bed determines its state [-]."""
 OTHERS = ("slow", "narrow", "wide")
 """Ends of the names of soils that are stirred at another rate, or have another grading."""
-CELL_SD_DEG = 0.65
+CELL_SD_DEG = 0.69
 """Standard deviation of the critical angle between beds in a shear cell [deg], pooled over soils
-with several (47 degrees of freedom)."""
+with several (50 degrees of freedom)."""
 CELLS = {"shear": "large, 1.5 kPa", "firm": "small, 1.5 kPa", "light": "small, 0.5 kPa"}
 """Shear cells and their loads."""
 
