@@ -16,7 +16,6 @@ from terraphi.experiment.errors import InputError
 from terraphi.experiment.units import GRAVITY
 from terraphi.inference.footfalls import FAULTY, TORN, FootfallMap
 from terraphi.robot import online as module
-from terraphi.robot import state
 from terraphi.robot.footfalls import footfalls
 from terraphi.robot.forces import estimate
 from terraphi.robot.joint_log import SHAPES, JointLog
@@ -143,14 +142,11 @@ def test_memory_is_bounded(
     assert course.min() > kept.time.min() - 1.0
 
 
-def test_a_state_is_recognized(warm: bytes, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_state_is_recognized(warm: bytes) -> None:
     with pytest.raises(InputError, match="of another robot, density, law, prior or anchors"):
         Footfalls.restore(warm, density=1400)
     with pytest.raises(InputError, match="no state of a walk"):
         Footfalls.restore(warm[:-40], **OPTIONS)
-    monkeypatch.setattr(state, "VERSION", 0)
-    with pytest.raises(InputError, match="state of version 5; this terraphi reads version 0"):
-        Footfalls.restore(warm, **OPTIONS)
 
 
 def test_a_caller_does_not_wait(log: JointLog, monkeypatch: pytest.MonkeyPatch) -> None:

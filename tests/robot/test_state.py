@@ -24,15 +24,20 @@ def changed(data: bytes, change: Callable[[Any, dict[str, Any]], None]) -> bytes
     with np.load(io.BytesIO(data)) as file:
         columns = {name: file[name] for name in file.files}
     content = json.loads(str(columns.pop("state")))
-    change(content["value"], columns)
+    change(content, columns)
     file = io.BytesIO()
     np.savez_compressed(file, state=json.dumps(content), **columns)
     return file.getvalue()
 
 
-def named(parts: Any, part: int, name: str, value: Any) -> None:
+def named(content: Any, part: int, name: str, value: Any) -> None:
     """Set an entry of one of the two mappings of a state."""
-    parts[part][name] = value
+    content["value"][part][name] = value
+
+
+def cast(columns: dict[str, Any], dtype: str) -> None:
+    """Turn the columns into another type of number."""
+    columns.update({name: column.astype(dtype) for name, column in columns.items()})
 
 
 @pytest.fixture(scope="module")
@@ -44,7 +49,7 @@ def data() -> bytes:
 
 
 def test_the_unchanged_state_is_one(data: bytes) -> None:
-    restored = Footfalls.restore(changed(data, lambda _parts, _columns: None))
+    restored = Footfalls.restore(changed(data, lambda _content, _columns: None))
     assert restored._walk.poses is not None
     assert restored._walk.poses.frame == "odom"
 
@@ -52,25 +57,36 @@ def test_the_unchanged_state_is_one(data: bytes) -> None:
 @pytest.mark.parametrize(
     "change",
     [
-        lambda parts, _: named(parts, 0, "update", 1),  # a method
-        lambda parts, _: named(parts, 1, "take", 1),
-        lambda parts, _: named(parts, 0, "end", "late"),
-        lambda parts, _: named(parts, 0, "ready", [1]),
-        lambda parts, _: named(parts, 1, "count", []),
-        lambda parts, _: named(parts, 1, "count", 1.5),
-        lambda parts, _: named(parts, 1, "window", {}),
-        lambda parts, _: named(parts, 1, "window", {"Unknown": {}}),
-        lambda parts, _: named(parts, 1, "window", {"array": "array9"}),
-        lambda parts, _: named(parts, 1, "dropped", {"no number": [1]}),
-        lambda parts, _: named(parts, 1, "poses", [[1.0], [], [], "odom"]),
-        lambda parts, _: parts.pop(),
-        lambda _, columns: columns.update(array0=np.array(["a"])),
-        lambda _, columns: columns.update(array0=np.array(1.0)),
+        lambda content, _: named(content, 0, "update", 1),  # a method
+        lambda content, _: named(content, 1, "take", 1),
+        lambda content, _: named(content, 0, "end", "late"),
+        lambda content, _: named(content, 0, "ready", [1]),
+        lambda content, _: named(content, 1, "count", []),
+        lambda content, _: named(content, 1, "count", 1.5),
+        lambda content, _: named(content, 1, "window", {}),
+        lambda content, _: named(content, 1, "window", {"Unknown": {}}),
+        lambda content, _: named(content, 1, "window", {"array": "array9"}),
+        lambda content, _: named(content, 1, "dropped", {"no number": [1]}),
+        lambda content, _: named(content, 1, "poses", [[1.0], [], [], "odom"]),
+        lambda content, _: content["value"].pop(),
+        lambda _, columns: cast(columns, "str"),
+        lambda _, columns: cast(columns, "int64"),
+        lambda _, columns: cast(columns, "bool"),
+        lambda _, columns: cast(columns, "float16"),
+        lambda _, columns: columns.update({name: np.array(1.0) for name in columns}),
     ],
 )  # fmt: skip
 def test_other_content_is_refused(data: bytes, change: Callable[..., None]) -> None:
     with pytest.raises(InputError, match="no state of a walk; give the bytes that state"):
         Footfalls.restore(changed(data, change))
+
+
+def test_a_state_of_an_earlier_version_is_named(data: bytes) -> None:
+    """It had the trees of other records."""
+    tree = {"tuple": [{"dict": []}, {"dict": []}, {"Walk": {}}]}
+    earlier = changed(data, lambda content, _: content.update(version=4, value=tree))
+    with pytest.raises(InputError, match="state of version 4; this terraphi reads version 5"):
+        Footfalls.restore(earlier)
 
 
 def test_other_bytes_are_refused(data: bytes, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -51,7 +51,7 @@ def packed(received: Received, walk: Walk) -> bytes:
     def plain(value: Any) -> Any:
         """A value that JSON has not: an array by the name of its column, a record by its fields."""
         if isinstance(value, np.ndarray):
-            columns[name := f"array{len(columns)}"] = value
+            columns[name := f"{value.dtype}_{len(columns)}"] = value
             return {"array": name}
         if isinstance(value, np.generic):
             return value.item()
@@ -79,9 +79,7 @@ def unpacked(data: bytes, options: Options) -> tuple[Received, Walk]:
             str(columns.pop("state")),
             object_hook=lambda e: columns[e["array"]] if e.keys() == {"array"} else e,
         )
-        if not all(array.ndim and array.dtype.kind in "bfi" for array in columns.values()):
-            raise TypeError("an array that is not of numbers")
-        version, fingerprint, (received, walk) = content.values()
+        version, fingerprint = content["version"], content["options"]
     except Exception as error:  # bytes from anywhere fail in a dozen ways
         raise InputError(what) from error
     if version != VERSION:
@@ -89,6 +87,9 @@ def unpacked(data: bytes, options: Options) -> tuple[Received, Walk]:
     if fingerprint != fingerprint_of(options):
         raise InputError("state of another robot, density, law, prior or anchors; give those of it")
     try:
+        if not all(a.ndim and name.startswith(f"{a.dtype}_") for name, a in columns.items()):
+            raise TypeError("an array of another type than it was packed with")
+        received, walk = content["value"]
         if walk["start"] is not None:
             walk["start"]["robot"] = options.robot
         return _records().validate_python((received, walk | {"options": options}))
