@@ -70,12 +70,16 @@ def test_exchanged_columns_are_refused_and_a_noisy_sinkage_is_not(name: str) -> 
     assert terraphi.invert(noisy, tool=tool, density=1412).verdict == "consistent"
 
 
-@pytest.mark.parametrize("at", [0.5, 0.7])
-def test_sensors_that_stop_are_refused_and_rests_are_not(at: float) -> None:
-    """A plate on loose Cullinan sand, whose clipped force was read 5 to 8° too low."""
+def cullinan() -> pd.DataFrame:
+    """A plate on loose sand."""
     sand = pd.read_csv(DATA / "sands" / "cullinan_plates.csv", comment="#")
     sand = sand[sand.test == "Method_1_test_1"].reset_index(drop=True)
-    table = sand[["sinkage_mm", "pressure_kPa"]]
+    return sand[["sinkage_mm", "pressure_kPa"]]
+
+
+@pytest.mark.parametrize("at", [0.5, 0.7])
+def test_sinkages_that_stop_are_refused_and_rests_are_not(at: float) -> None:
+    table = cullinan()
     rows = np.arange(len(table)) > at * len(table)
     rests = np.r_[
         np.arange(len(table) // 2), [len(table) // 2] * 20, np.arange(len(table) // 2, len(table))
@@ -84,13 +88,47 @@ def test_sensors_that_stop_are_refused_and_rests_are_not(at: float) -> None:
     relaxed.loc[len(table) // 2 : len(table) // 2 + 19, "pressure_kPa"] *= 0.9
     answers = [terraphi.invert(each, tool="plate:151", density=1400) for each in (table, relaxed)]
     assert answers[0].phi.median == pytest.approx(answers[1].phi.median, abs=0.5)
-    clipped = table.assign(
-        pressure_kPa=table.pressure_kPa.clip(upper=at * table.pressure_kPa.max())
-    )
     stuck = table.assign(sinkage_mm=table.sinkage_mm.mask(rows, table.sinkage_mm[~rows].max()))
-    for wrong, words in ((clipped, "saturates"), (stuck, "sinkage does not")):
-        with pytest.raises(terraphi.InputError, match=words):
-            terraphi.invert(wrong, tool="plate:151", density=1400)
+    with pytest.raises(terraphi.InputError, match="sinkage does not"):
+        terraphi.invert(stuck, tool="plate:151", density=1400)
+
+
+@pytest.mark.parametrize("at", [0.5, 0.7])
+def test_forces_that_stop_are_answered_as_the_table_that_ends_there(at: float) -> None:
+    """Clipped forces, which were read 5 to 8° too low, and a load that is held at the end."""
+    table, force = cullinan(), cullinan().pressure_kPa
+    end = int((force >= at * force.max()).argmax()) + 1
+    cut = table.iloc[:end].assign(pressure_kPa=force[:end].clip(upper=at * force.max()))
+    creep = np.linspace(0.0, 3.0, 50)
+    held = pd.DataFrame({
+        "sinkage_mm": cut.sinkage_mm.max() + creep, "pressure_kPa": cut.pressure_kPa.max()
+    })  # fmt: skip
+    expected = terraphi.invert(cut, tool="plate:151", density=1400)
+    clipped = table.assign(pressure_kPa=force.clip(upper=at * force.max()))
+    for stopped in (clipped, pd.concat([cut, held], ignore_index=True)):
+        answer = terraphi.invert(stopped, tool="plate:151", density=1400)
+        assert answer.phi.median == pytest.approx(expected.phi.median)
+        assert answer.records[0].n_left_out >= len(stopped) - end
+
+
+@pytest.mark.parametrize("reads", [6, 30])
+@pytest.mark.parametrize("steps", [2.0 ** -np.arange(8, -1, -1), np.arange(1, 13) / 12],
+                         ids=["doubled", "even"])  # fmt: skip
+def test_steps_of_load_are_answered_as_the_stroke(steps: np.ndarray, reads: int) -> None:
+    """Each load is held while the plate creeps to its sinkage, the last one longer."""
+    table = pressed(32.0)
+    ends = np.interp(steps, table.force_N / table.force_N.max(), table.sinkage_mm)
+    held = [reads] * (steps.size - 1) + [6 * reads]
+    sinkage = [np.linspace(low, high, n + 1)[1:] ** 0.3 * high**0.7
+               for low, high, n in zip(np.append(0.0, ends), ends, held, strict=False)]  # fmt: skip
+    loads = pd.DataFrame({
+        "sinkage_mm": np.concatenate(sinkage),
+        "force_N": np.repeat(steps, held) * table.force_N.max(),
+    })  # fmt: skip
+    answer = terraphi.invert(loads, tool="plate:151", density=1500)
+    assert answer.records[0].n_readings == len(loads)
+    assert answer.verdict == "consistent"
+    assert answer.phi.median == pytest.approx(32.0, abs=answer.phi.sd)
 
 
 @pytest.mark.parametrize("name", CRITICAL_DEG)

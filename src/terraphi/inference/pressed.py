@@ -103,6 +103,8 @@ half of the way 0.2 to 0.8."""
 LIKE_DISC = 1.25
 """Residual of a ball over that of a disc as wide from which an answer says so [-]: at most 1.11 in
 26 records of balls in grains; 18 of 30 records of discs, read as balls, exceed it."""
+MOST_STEPS = 20
+"""Most forces of a test in steps of load [-]."""
 TARED = 0.01
 """Force in air over the largest from which it is named [-]."""
 RANGE_DEG = np.arange(10.0, 55.5, 0.5)
@@ -481,12 +483,17 @@ def _warnings(press: _Press, fit: _Fit, *, is_sound: bool) -> list[str]:
 def _virgin(table: ToolTable, label: str) -> tuple[FloatArray, FloatArray, int, list[str]]:
     """Means over windows of the readings deeper than any before, less what is read in air."""
     sinkage, force, notes = table.values["sinkage"], table.values["force"], [*table.notes]
+    top = float(force.max())
+    # Of a test in steps of load every value is held; of a stroke the last one, or by a sensor that
+    # saturates. Rough forces fall below that again, so that all that follows is left out.
+    if len(np.unique(force)) > MOST_STEPS and is_ceiling(force, top, resolution(force)):
+        end = 1 + int(force.argmax())
+        held = f"from {top:.3g} N on, where the force stops (a load that is held, or a sensor that"
+        notes.append(f"{len(force) - end} readings {held} saturates), are left out.")
+        sinkage, force = sinkage[:end], force[:end]
     # On virgin loading each reading is deeper than all before it.
     deepest = np.maximum.accumulate(np.append(-np.inf, sinkage))[:-1]
-    virgin, top = sinkage > deepest, float(force.max())
-    if is_ceiling(force, top, resolution(force)):
-        at = f"stays at its largest, {top:.3g} N, in {np.count_nonzero(force == top)} readings"
-        raise InputError(f"{label}: the force {at}; leave them out if the sensor saturates")
+    virgin = sinkage > deepest
     # Soil that was pressed bears no more than virgin soil did, down to where that was.
     borne = np.maximum.accumulate(np.where(virgin, force, -np.inf))
     if (more := np.count_nonzero(force > borne + HARDER * top)) >= FEWEST_HARDER:
