@@ -117,6 +117,23 @@ def test_nothing_is_felt_above_the_surface_and_all_scales_with_density(law: str)
     assert double[1] == pytest.approx(2.0 * lift(law, BALL, 0.02, 33.0))
 
 
+@pytest.mark.parametrize("law", LAWS)
+def test_arrays_have_the_forces_of_their_values(law: str) -> None:
+    """Over axes that only φ has, or only the direction, too."""
+    phi = np.array([26.0, 30.5, 34.0]).reshape(3, 1, 1)
+    descent, depth = np.array([[0.7], [1.4]]), np.array([-0.001, 0.004, 0.011, 0.03])
+    for turn in (descent, np.array([0.7, 0.9, 1.2, 1.5]), 1.3):
+        force = LAWS[law].force(BALL, depth, turn, friction_angle_deg=phi, **SAND)
+        expected = [
+            LAWS[law].force(BALL, *place, friction_angle_deg=angle, **SAND)
+            for angle, *place in np.broadcast(phi, depth, turn)
+        ]
+        assert force.shape == (*np.broadcast_shapes(phi.shape, depth.shape, np.shape(turn)), 2)
+        np.testing.assert_allclose(force, np.reshape(expected, force.shape), rtol=1e-12)
+        upward = LAWS[law].lift(BALL, depth, turn, friction_angle_deg=phi, **SAND)
+        np.testing.assert_allclose(upward, force[..., 1], rtol=1e-12)
+
+
 # Smooth round footings by slip lines (verification/exact.py): N of the weight below, p/γa, and N_q,
 # at φ in triaxial compression, atan(√¾ tan φ) for Matsuoka and Nakai.
 @pytest.mark.parametrize(

@@ -141,24 +141,25 @@ def like(reference: Any, values: Any) -> Any:
     return xp.asarray(values, dtype=reference.dtype, **place)  # what JAX traces has no device
 
 
-def between_rows(table: FloatArray, *places: Any) -> Any:
-    """Rows of a table at places on its first axes [node]; arrays of one shape and library.
+def between_rows(table: FloatArray, *places: Any, axis: int = 0) -> Any:
+    """Rows of a table at places on its axes from one on [node]; arrays of one shape and library.
 
     Linear between nodes; beyond the first and the last as between the two that are next.
     """
     # The 2ᵏ corners of the cell that each place lies in, by their rows in the flat table; then one
     # axis after the other, the last first, a + s (b − a) between the ends of that axis. A share s
     # beyond 0 to 1 continues the table.
-    xp, tail = namespace(places[0]), table.shape[len(places) :]
-    rows = like(places[0], table.reshape(-1, *tail))
+    xp, end = namespace(places[0]), axis + len(places)
+    tail = table.shape[end:]
+    rows = like(places[0], table.reshape(*table.shape[:axis], -1, *tail))
     shares, steps, first = [], [0], 0
-    for place, count in zip(places, table.shape, strict=False):
+    for place, count in zip(places, table.shape[axis:end], strict=True):
         low = xp.clip(place, 0, count - 2)
         low = low.astype(np.int64) if xp is np else xp.astype(low, xp.int32)  # which JAX has too
         share = place - like(place, low)
         shares.append(xp.reshape(share, (*share.shape, *(1 for _ in tail))))
-        first, steps = first * count + low, [count * at + end for at in steps for end in (0, 1)]
-    corners = [xp.take(rows, first + at, axis=0) for at in steps]
+        first, steps = first * count + low, [count * at + k for at in steps for k in (0, 1)]
+    corners = [xp.take(rows, first + at, axis=axis) for at in steps]
     for share in reversed(shares):
         pairs = zip(corners[::2], corners[1::2], strict=True)
         corners = [low + share * (high - low) for low, high in pairs]

@@ -108,8 +108,8 @@ class FootLaw:
     name
         Name of the law.
     formula
-        Part of :meth:`force` along the motion (0) or up (1): by this number, and the arguments of
-        :meth:`force` in their order.
+        Part of :meth:`force` along the motion (0) or up (1), or both on the first axis: by this
+        number or a slice, and the arguments of :meth:`force` in their order.
     sd_deg
         Error of φ by this law in loose grains of measured φ, offset and scatter together, at least
         the root mean square [deg] (``docs/plates.md``).
@@ -152,20 +152,20 @@ class FootLaw:
             arrays broadcast to.
         """
         phi = np.asarray(friction_angle_deg, dtype=np.float64)
-        soil = phi, density, surface_friction
-        return np.stack([self.formula(k, foot, depth, descent, *soil) for k in (0, 1)], axis=-1)
+        parts = self.formula(slice(2), foot, depth, descent, phi, density, surface_friction)
+        return np.moveaxis(parts, 0, -1)
 
     def lift(
         self, foot: Foot, depth: ArrayLike, descent: ArrayLike, *, friction_angle_deg: ArrayLike,
         density: float, surface_friction: float,
     ) -> FloatArray:  # fmt: skip
-        """Upward part of :meth:`force` alone, in half of the time."""
+        """Upward part of :meth:`force` alone, in less time."""
         phi = np.asarray(friction_angle_deg, dtype=np.float64)
         return self.formula(1, foot, depth, descent, phi, density, surface_friction)
 
 
 def simulated_force(
-    part: int, foot: Foot, depth: ArrayLike, descent: ArrayLike, phi_deg: ArrayLike,
+    part: int | slice, foot: Foot, depth: ArrayLike, descent: ArrayLike, phi_deg: ArrayLike,
     density: float, mu: float,
 ) -> FloatArray:  # fmt: skip
     """ρ g R³ T(φ, descent, depth/R, μ_s), with T from simulations.
@@ -179,23 +179,25 @@ def simulated_force(
     first, step, table = simulated_table(foot.shape, float(mu))
     ratio, turn, phi = np.broadcast_arrays(np.asarray(depth) / foot.radius, descent, phi_deg)
     place = phi - first
-    unit = between_rows(table[part], place, _row(turn), ratio / step)
-    in_range = (place >= -BEYOND_DEG) & (place <= table.shape[1] - 1 + BEYOND_DEG)
+    table = table[part]
+    unit = between_rows(table, place, _row(turn), ratio / step, axis=table.ndim - 3)
+    in_range = (place >= -BEYOND_DEG) & (place <= table.shape[-3] - 1 + BEYOND_DEG)
     is_in_soil = np.where(in_range, ratio > 0.0, np.nan)
     return np.asarray(density * GRAVITY * foot.radius**3 * is_in_soil * unit)
 
 
 def resistive_force(
-    part: int, foot: Foot, depth: ArrayLike, descent: ArrayLike, phi_deg: ArrayLike,
+    part: int | slice, foot: Foot, depth: ArrayLike, descent: ArrayLike, phi_deg: ArrayLike,
     density: float, mu: float,
 ) -> FloatArray:  # fmt: skip
     r"""ξ(φ, ρ) R³ T(depth/R, descent, μ_s): the faces' forces by resistive force theory.
 
     T is tabulated once for each μ_s and shape; between its nodes it is linear.
     """
-    ratio, turn = np.broadcast_arrays(np.asarray(depth) / foot.radius, descent)
-    table = resistive_table(foot.shape, float(mu))[part]
-    unit = between_rows(table, _row(turn), np.maximum(ratio, 0.0) / DEPTHS[1])
+    ratio = np.array(np.asarray(depth) / foot.radius, ndmin=np.ndim(phi_deg))
+    ratio, turn = np.broadcast_arrays(np.maximum(ratio, 0.0), descent)
+    table = resistive_table(foot.shape, float(mu))[:2][part]
+    unit = between_rows(table, _row(turn), ratio / DEPTHS[1], axis=table.ndim - 2)
     return np.asarray(stress_scale(from_plane_strain(phi_deg), density) * foot.radius**3 * unit)
 
 
@@ -231,8 +233,8 @@ def inertial_force(
 
 
 def bearing_capacity(
-    name: str, part: int, foot: Foot, depth: ArrayLike, descent: ArrayLike, phi_deg: ArrayLike,
-    density: float, _mu: float,
+    name: str, part: int | slice, foot: Foot, depth: ArrayLike, descent: ArrayLike,
+    phi_deg: ArrayLike, density: float, _mu: float,
 ) -> FloatArray:  # fmt: skip
     """Bearing capacity of a circular footing that stands for the foot, with one set of factors.
 
@@ -252,7 +254,8 @@ def bearing_capacity(
     deep, wide = bearing_factors(name, phi_deg, base / breadth)
     pressure = density * GRAVITY * (base * deep + 0.5 * breadth * wide)
     sinking = (np.asarray(descent) > 0.0) & (z > 0.0)
-    return np.where(sinking, part * pressure * math.pi * radius**2, 0.0)
+    lift = np.where(sinking, pressure * math.pi * radius**2, 0.0)
+    return lift if part == 1 else np.stack([np.zeros_like(lift), lift])[part]
 
 
 LAWS: Mapping[str, FootLaw] = {
