@@ -54,6 +54,13 @@ def test_columns_units_signs_and_unloading_do_not_matter(tmp_path: Path) -> None
         answer = terraphi.invert(variant.reset_index(drop=True), tool="plate:151", density=1500)
         assert answer.phi.median == pytest.approx(expected.phi.median, abs=0.01)
     assert any("unloading" in warning for warning in answer.warnings)
+    # A height that falls, which is 120 mm where the plate touches the soil.
+    height = pd.DataFrame({"height_cm": 12.0 - 0.1 * table.sinkage_mm, "load_N": table.force_N})
+    named = {"tool": "plate:151", "density": 1500}
+    with pytest.raises(terraphi.InputError, match="sinkage_zero"):
+        terraphi.invert(height, columns="sinkage=height_cm", **named)
+    by_height = terraphi.invert(height, columns="sinkage=height_cm,sinkage_zero=12", **named)
+    assert by_height.phi.median == pytest.approx(expected.phi.median, abs=0.01)
     answer.save(tmp_path / "answer")
     assert terraphi.Answer.load(tmp_path / "answer").phi.median == answer.phi.median
 
@@ -279,6 +286,16 @@ def test_two_layers_are_a_misfit() -> None:
 def test_bad_tools_are_refused(tool: str, options: dict[str, str], match: str) -> None:
     with pytest.raises(terraphi.InputError, match=match):
         terraphi.invert(pressed(30.0), tool=tool, **options)
+
+
+def test_a_tool_is_that_of_files_that_name_none() -> None:
+    """As a rig is that of legs; the other file has its own, at another angle."""
+    disc, ball = pressed(30.0), pd.read_csv(GRAINS / "B-loose_ball_44_1.csv", comment="#")
+    forces = [disc, (ball, "ball:44")]
+    mixed = terraphi.invert(forces, tool="plate:151", density=1412)
+    named = terraphi.invert([(disc, "plate:151"), forces[1]], density=1412)
+    assert mixed.phi == named.phi
+    assert [record.rig for record in mixed.records] == [record.rig for record in named.records]
 
 
 def test_missing_column_is_named() -> None:

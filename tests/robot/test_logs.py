@@ -15,6 +15,7 @@ from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
+import pandas as pd
 import pytest
 import zstandard
 from go2.logs import EPOCH_NS, write_csv, write_mcap, write_parquet, write_rosbag2
@@ -25,6 +26,7 @@ from rosbags.typesys import Stores, get_typestore
 
 import terraphi
 from terraphi.experiment import budget
+from terraphi.experiment.documents import shipped_file
 from terraphi.experiment.errors import InputError
 from terraphi.robot.joint_log import FEET, JOINT_NAMES, JOINTS, SHAPES, JointLog, arrays, joined
 from terraphi.robot.logs import bags, read_log
@@ -286,6 +288,21 @@ def sdk_csv(path: Path, motors: list[str]) -> None:
     table |= {f"q{part}": column for part, column in zip("wxyz", log.quaternion.T, strict=True)}
     rows = "\n".join(",".join(f"{v:.9g}" for v in row) for row in zip(*table.values(), strict=True))
     path.write_text(f"{','.join(table)}\n{rows}\n")
+
+
+def test_own_names_with_other_units_are_taken_by_them(tmp_path: Path) -> None:
+    """Angles in degrees with velocities in rad/s, a time in ms; a column of our unit goes first."""
+    table = pd.read_csv(shipped_file("robots", "walk", ".csv"), comment="#")
+    table.to_csv(tmp_path / "log.csv", index=False)
+    angles = [name for name in table if str(name).endswith("angle_rad")]
+    table[angles] = np.degrees(table[angles])
+    renamed = table.rename(columns=lambda name: name.replace("angle_rad", "angle_deg"))
+    renamed = renamed.rename(columns={"time_s": "time_ms"}).assign(time_ms=1e3 * table["time_s"])
+    renamed["FR_hip_velocity_deg_s"] = 0.0
+    renamed.to_csv(tmp_path / "other.csv", index=False)
+    ours, other = (read_log(tmp_path / name) for name in ("log.csv", "other.csv"))
+    for name in ("time", "angle", "velocity", "torque"):
+        np.testing.assert_allclose(getattr(other, name), getattr(ours, name), rtol=1e-12)
 
 
 def test_csv_of_an_sdk_by_a_map_of_its_columns(tmp_path: Path) -> None:

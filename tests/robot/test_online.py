@@ -113,6 +113,22 @@ def test_the_map_is_that_of_the_whole_log(
     ]
 
 
+def test_a_walk_that_ends_early_has_the_map_of_its_log(log: JointLog) -> None:
+    """Before ten seconds no footfall is returned; the map is that of the batch, all samples."""
+    short = part(log, 0, 3111)
+    walk = Footfalls(**OPTIONS)
+    assert streamed(walk, short, 500) == []
+    result, reference = walk.map(), footfalls(short, **OPTIONS)
+    assert len(result.time) > 15
+    np.testing.assert_array_equal(result.phi, reference.phi)
+    np.testing.assert_array_equal(result.path_absolute_sd, reference.path_absolute_sd)
+    assert result.warnings == reference.warnings
+    # It goes on as if there had been no map.
+    later = streamed(walk, part(log, 3111, 5500), 5500)
+    assert later == streamed(Footfalls(**OPTIONS), part(log, 0, 5500), 700)
+    assert len(later) > len(result.time)
+
+
 def test_the_length_of_samples_does_not_matter(
     log: JointLog, warm: bytes, online: tuple[Footfalls, list[Footfall]]
 ) -> None:
@@ -164,7 +180,7 @@ def test_a_caller_does_not_wait(log: JointLog, monkeypatch: pytest.MonkeyPatch) 
     future = walk.submit_map()
     assert not future.done()
     go.set()
-    for _ in range(3):
+    for _ in range(4):  # the map takes the last half second, too
         with pytest.raises(RuntimeError, match="at work"):
             walk.wait()
     assert walk.wait() == ()
@@ -393,7 +409,7 @@ def test_what_cannot_be_is_refused(log: JointLog) -> None:
     assert walk.update(part(log, 0, 100)) == ()
     with pytest.raises(InputError, match="should follow"):
         walk.update(part(log, 50, 100))
-    with pytest.raises(InputError, match="no footfall yet"):
+    with pytest.raises(InputError, match="no stances: the robot stands still"):
         walk.map()
     with pytest.raises(InputError, match="law 'rtf' is unknown"):
         Footfalls(law="rtf")

@@ -239,6 +239,13 @@ def test_export_reads_what_invert_writes(terraphi) -> None:
     assert ran.status == 0 or "no friction angle in plane strain" in ran.err
 
 
+def test_a_table_of_forces_is_no_answer(tmp_path) -> None:
+    path = tmp_path / "forces.csv"
+    path.write_text("theta_deg,Fx_N,Fz_N\n-110.0,-0.15,-0.1\n")
+    with pytest.raises(InputError, match=r"forces\.csv: no answer; give the folder"):
+        export(path, to="newton")
+
+
 def test_an_answer_whose_groups_are_a_cycle_is_refused(terraphi, tmp_path) -> None:
     with h5py.File(tmp_path / "cycle.nc", "w") as file:
         file.create_group("g")["loop"] = file["/"]

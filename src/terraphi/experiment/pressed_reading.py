@@ -27,6 +27,9 @@ class PressColumns(Columns):
     """Column of the pressure, in place of a force; if not given, it is guessed."""
     sinkage_unit: Literal["mm", "cm", "m", "in", "ft"] | None = None
     """Unit of the sinkage; if not given, that of the header."""
+    sinkage_zero: float = 0.0
+    """Value of the column where the body touches the surface, in its unit: 120 where a height falls
+    from there to 75."""
     unit: ForceUnit | None = None
     """Unit of the force; if not given, that of the header."""
     pressure_unit: Literal["kPa", "Pa", "MPa", "bar", "psi"] | None = None
@@ -54,7 +57,8 @@ def read_pressed(source: Any, area: float | None, columns: Any = None) -> ToolTa
     reader.settle(chosen, {"sinkage": "mm", "force": "N", "pressure": "kPa"})
     reader.refuse_wrong()
     role = "force" if "force" in reader.names else "pressure"
-    sinkage, force = reader.column("sinkage"), reader.column(role)
+    zero = reader.given.sinkage_zero * reader.unit("sinkage")[1]
+    sinkage, force = reader.column("sinkage") - zero, reader.column(role)
     if role == "pressure":
         if area is None:
             remedy = "give its force, or --tool plate:DIAMETER of a plate"

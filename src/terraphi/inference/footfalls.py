@@ -39,6 +39,7 @@ from terraphi.inference.touchdowns import (
     learn_exponent,
     learn_level,
     picked,
+    sampled,
 )
 from terraphi.laws.foot import DEEPEST, LAWS
 
@@ -859,8 +860,7 @@ def verdicts(
     earlier
         Prints of touch-downs before these, as of :func:`prints_of`; by default none.
     """
-    if typical is None:
-        typical = Typical.of(traits(touchdowns, fits))
+    typical = typical or Typical.of(traits(touchdowns, fits))
     before = np.empty((0, 4)) if earlier is None else earlier
     prints = np.vstack([before, prints_of(touchdowns)])
     trodden, printed = trodden_before(prints, NEAR_RADII, prior)[:, len(before) :]
@@ -873,7 +873,8 @@ def verdicts(
         (FAULTY, touchdowns.faulty),
         (TORN, touchdowns.torn),
         (SATURATED, touchdowns.saturated),
-        (SHALLOW, (fits.gained < LEAST_GAINED) | (touchdowns.used.sum(axis=1) < FEWEST)),
+        (SHALLOW, fits.gained < LEAST_GAINED),
+        (TORN, sampled(touchdowns)[1]),
         (ELASTIC, springs),
         (CRUST, touchdowns.broken > MOST_BROKEN),
         (HARD, (fits.borne > MOST_BORNE) & (touchdowns.deepest >= typical.deep)),
@@ -902,7 +903,12 @@ def _ground_notes(touchdowns: Touchdowns, fits: Fit, verdict: NDArray[np.str_]) 
     returned = Typical.of(traits(touchdowns, fits)).returned
     sank = ~(touchdowns.torn | touchdowns.faulty) & (fits.gained >= LEAST_GAINED)
     broken = np.median(touchdowns.broken[sank]) if sank.sum() >= FEWEST_TYPICAL else 0.0
-    notes = []
+    notes, (step, few) = [], sampled(touchdowns)
+    if (few := few & (verdict == TORN)).any():
+        text = (
+            f"{few.sum()} of {len(few)} feet have too few samples while they go down, or gaps, at "
+        )
+        notes.append(f"{text}{1.0 / np.median(step[few]):.0f} Hz: log faster")
     if returned > WALK_RETURNED:
         notes.append(
             f"the ground returns {returned:.0%} of the work of the feet, soil a few percent: it is "

@@ -515,5 +515,5 @@ def _virgin(table: ToolTable, label: str) -> tuple[FloatArray, FloatArray, int, 
     first = np.flatnonzero(np.diff(at, prepend=-1))
     if first.size < 8:
         depths = f"readings at {first.size} depths below the surface, 8 are needed"
-        raise InputError(f"{label}: {depths}; check the zero and sign of the sinkage")
+        raise InputError(f"{label}: {depths}; state the surface by --columns sinkage_zero=VALUE")
     return block_means(z, first), block_means(f, first), z.size, notes

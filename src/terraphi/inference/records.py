@@ -294,16 +294,14 @@ def open_records(
     InputError
         If the forces, the body or the density cannot be used.
     """
+    fallback = None if tool is None else Tool.of(tool)
+    sources = [(s, fallback if body is None else body) for s, body in _sources(forces)]
     # Options of legs do not go with tools alone, nor a friction of tools with legs alone.
-    sources = _sources(forces)
-    has_leg = tool is None and not all(isinstance(body, Tool) for _, body in sources)
+    has_leg = not all(isinstance(body, Tool) for _, body in sources)
     excluded = {"leg": leg, "rig": rig, **options}
     of_tools = ("density", "grain_size_mm", "cohesion")
     wrong = [name for name, value in excluded.items() if value is not None and not has_leg
              and name not in of_tools]  # fmt: skip
-    if tool is not None:
-        wrong += [f"@{body}" for _, body in sources if body is not None]
-        sources = [(source, Tool.of(tool)) for source, _ in sources]
     if wrong:
         raise InputError(f"a tool excludes {', '.join(wrong)}; leave out one or the other")
     has_tool = any(isinstance(body, Tool) for _, body in sources)

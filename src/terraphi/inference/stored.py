@@ -142,6 +142,8 @@ class StoredAnswer(NamedTuple):
             source = str(answer)
             if not (Path(answer).is_dir() or source.endswith(".nc")):
                 text = read_bytes(Path(answer))
+                if not text.lstrip().startswith(b"{"):
+                    raise InputError(f"{source}: no answer; give the folder of 'invert --out'")
                 strictly(text, Stored, source)
                 stored = json.loads(text)
                 written = {RENAMED.get(key, key): value for key, value in stored.items()}

@@ -70,7 +70,6 @@ def law_named(name: Path | str | AnyLaw) -> LawOfLegs:
     legs = shipped_legs()
     keys = (key for case in law.cases for key in differences(case.scenario, legs.scenario))
     if differing := [key for key in dict.fromkeys(keys) if key not in VARIED]:
-        keys_listed = ", ".join(differing[:3])
-        why = f"has another {keys_listed} than law {NAME}; 'terraphi library build --rig' makes one"
-        raise InputError(f"library {law.name} {why} that can join it")
+        why = f"differs from law {NAME} in {', '.join(differing[:3])}, and cannot join it"
+        raise InputError(f"library {law.name} {why}; 'terraphi library build --rig' makes one")
     return legs.joined(law)

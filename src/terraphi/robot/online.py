@@ -273,6 +273,7 @@ class Footfalls:
 
     def submit_map(self) -> Future[FootfallMap]:
         """Begin a map; its ``result()`` is that of :meth:`map`, and ``done()`` tells when."""
+        self._hand_over()
         return self._thread.submit(self._walk.map)
 
     @property
@@ -529,7 +530,11 @@ class Walk:
         return find_stances(window.log.time, force, rise_N=least, feet=robot.feet)
 
     def map(self) -> FootfallMap:
-        """All footfalls so far together."""
+        """All footfalls so far together; a walk that is not checked yet is a log by itself."""
+        if self.start is None and self.pending is not None and self.poses is None:
+            options = {n: getattr(self.options, n) for n in ("robot", "law", "prior", "anchors")}
+            answer = batch.footfalls(self.pending, **options)
+            return replace(answer, warnings=(*self.warnings(), *answer.warnings))
         if self.start is None or self.window is None or not self.rows:
             raise InputError(f"no footfall yet; the first come after {CHECK_S:g} s of walking")
         return self._infer(self._checked(self.start, self.window, to_end=True))

@@ -29,7 +29,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from terraphi.experiment.arrays import FloatArray, IntArray
-from terraphi.inference.touchdowns import FEWEST, Prior, Touchdowns
+from terraphi.inference.touchdowns import FEWEST_SAMPLES, Prior, Touchdowns
 from terraphi.laws.foot import Foot, moved_mass
 from terraphi.robot.estimators import chunks, smooth_sign, trunk_motion
 from terraphi.robot.forces import TRUNK_ACCELERATION_SD, FootForces, SingleArray
@@ -297,7 +297,7 @@ def _touchdown(
         "moved": moved,
         "heading": heading[0],
         "used": good[chosen] & (np.arange(POINTS) < count) & (not short),
-        "torn": short or 2.0 * FEWEST * step > WINDOW_S or bool(late.any()),
+        "torn": short or 2.0 * FEWEST_SAMPLES[1] * step > WINDOW_S or bool(late.any()),
         "saturated": bool(forces.saturated[part, foot].any()),
         "faulty": False,
         **_yielding(time[start:end], place[start:end], lift[start:end], half, landing),

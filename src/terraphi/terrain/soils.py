@@ -22,7 +22,7 @@ from terraphi.experiment.documents import DATA
 from terraphi.experiment.errors import GUESSED, InputError, nearest
 from terraphi.experiment.files import number_with_sd
 from terraphi.experiment.outputs import changed
-from terraphi.experiment.priors import DENSITY, FOOT_FRICTION, FRICTION
+from terraphi.experiment.priors import DENSITY, FRICTION
 from terraphi.experiment.scenario import LIMITS
 from terraphi.experiment.soil import cone_slope
 from terraphi.forward.rft import to_plane_strain
@@ -316,9 +316,8 @@ class SoilDistribution:
         """
         from terraphi.laws.wrench import force
 
-        soil = {"phi_deg": self.phi.median, "density": self.density,
-                "surface_friction": FOOT_FRICTION.mean}  # fmt: skip
-        return force(foot, pose, velocity, **{**soil, **options})
+        soil = {"phi_deg": self.phi.median, "density": self.density}
+        return force(foot, pose, velocity, **soil | options)
 
 
 def _wheel(diameter_mm: float, width_mm: float, lugs: int = 0, lug_height: float = 0.0) -> Wheel:

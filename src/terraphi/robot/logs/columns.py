@@ -98,6 +98,11 @@ BY_MODEL = OWN.model_copy(
 """The same with the names of the joints in the robot's model."""
 
 
+OTHER_UNITS = {"_deg": ("_rad", radians(1.0)), "_deg_s": ("_rad_s", radians(1.0))}
+OTHER_UNITS |= {f"_{unit}": ("_s", TIME[unit]) for unit in ("ms", "us", "ns")}
+"""Ends of terraphi's own names in another unit, the usual end, and the factor."""
+
+
 def read_columns(path: Path, columns: Columns | None, robot: Robot) -> dict[str, Any]:
     """Read a CSV, or a Parquet file by its suffix.
 
@@ -122,6 +127,12 @@ def read_columns(path: Path, columns: Columns | None, robot: Robot) -> dict[str,
     """
     table = _table(path)
     table.columns = header = [str(name).strip().strip('"') for name in table.columns]
+    if columns is None:
+        for ending, (usual_end, factor) in OTHER_UNITS.items():
+            for name in [name for name in header if name.endswith(ending)]:
+                ours = name.removesuffix(ending) + usual_end
+                table[ours] = table.get(ours, factor * table[name])
+        header = list(table.columns)
     named = columns or BY_MODEL
     if columns is None and robot.legs == LEGS:
         named = BY_MODEL if {*BY_MODEL.group("angle", robot)} <= {*header} else OWN
