@@ -884,8 +884,7 @@ def verdicts(
         (EDGE, np.isin(fits.phi, PHI_RANGE)),
         (MISFIT, fits.misfit > typical.misfit),
     )
-    words = [word for word, _ in reasons]
-    return np.select([holds for _, holds in reasons], words, USABLE)
+    return np.select([holds for _, holds in reasons], [word for word, _ in reasons], USABLE)
 
 
 def comes_back(path: FloatArray) -> bool:
@@ -910,26 +909,18 @@ def _ground_notes(touchdowns: Touchdowns, fits: Fit, verdict: NDArray[np.str_]) 
         )
         notes.append(f"{text}{1.0 / np.median(step[few]):.0f} Hz: log faster")
     if returned > WALK_RETURNED:
-        notes.append(
-            f"the ground returns {returned:.0%} of the work of the feet, soil a few percent: it is "
-            "a mat, foam or floor, and has no φ"
-        )
+        text = f"the ground returns {returned:.0%} of the work of the feet, soil a few percent"
+        notes.append(f"{text}: it is a mat, foam or floor, and has no φ")
     if broken > WALK_BROKEN:
-        notes.append(
-            f"feet lose {broken:.0%} of their force while they go deeper: a crust breaks, as on "
-            "snow, and φ is not that of the soil"
-        )
+        text = f"feet lose {broken:.0%} of their force while they go deeper: a crust breaks"
+        notes.append(f"{text}, as on snow, and φ is not that of the soil")
     if hard := int((verdict == HARD).sum()):
-        notes.append(
-            f"{hard} of {len(verdict)} feet ended on harder ground below the soil: check how deep "
-            "the soil is"
-        )
+        text = f"{hard} of {len(verdict)} feet ended on harder ground below the soil"
+        notes.append(f"{text}: check how deep the soil is")
     misfits = int((verdict == MISFIT).sum())
     if misfits > MOST_MISFITS * len(verdict):
-        notes.append(
-            f"the law does not fit {misfits} of {len(verdict)} footfalls: check whether the "
-            "ground was trodden before, or is stony, layered or damp"
-        )
+        text = f"the law does not fit {misfits} of {len(verdict)} footfalls: check whether"
+        notes.append(f"{text} the ground was trodden before, or is stony, layered or damp")
     return notes
 
 

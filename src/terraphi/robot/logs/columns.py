@@ -127,12 +127,11 @@ def read_columns(path: Path, columns: Columns | None, robot: Robot) -> dict[str,
     """
     table = _table(path)
     table.columns = header = [str(name).strip().strip('"') for name in table.columns]
-    if columns is None:
-        for ending, (usual_end, factor) in OTHER_UNITS.items():
-            for name in [name for name in header if name.endswith(ending)]:
-                ours = name.removesuffix(ending) + usual_end
-                table[ours] = table.get(ours, factor * table[name])
-        header = list(table.columns)
+    for ending, (usual_end, factor) in OTHER_UNITS.items():
+        for name in [name for name in header if name.endswith(ending)]:
+            ours = name.removesuffix(ending) + usual_end
+            table[ours] = table.get(ours, factor * table[name])
+    header = list(table.columns)
     named = columns or BY_MODEL
     if columns is None and robot.legs == LEGS:
         named = BY_MODEL if {*BY_MODEL.group("angle", robot)} <= {*header} else OWN
