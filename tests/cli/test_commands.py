@@ -339,7 +339,7 @@ def test_a_library_is_built_listed_shown_and_used(terraphi: Terraphi, tmp_path: 
     assert "small" in terraphi("library", "show", "l.nc").out
     ran = terraphi("invert", MEASURED, "--law", "l.nc")
     assert ran.status == 2
-    assert "library small has another model" in ran.err
+    assert "library small differs from law legs in model" in ran.err
     listed = json.loads(terraphi("library", "list", "--json").out)
     assert [entry["name"] for entry in listed["libraries"]][:2] == ["legs", "rft3d"]
     assert listed["soils"]["loose dry sand"]["phi_plane_strain_deg"] == [33.0, 2.0]
