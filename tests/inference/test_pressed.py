@@ -77,6 +77,24 @@ def test_exchanged_columns_are_refused_and_a_noisy_sinkage_is_not(name: str) -> 
     assert terraphi.invert(noisy, tool=tool, density=1412).verdict == "consistent"
 
 
+@pytest.mark.parametrize(("rows", "noise_mm", "window"), [(2000, 0.05, 1), (1000, 0.2, 51)])
+def test_noisy_sinkages_with_quiet_forces_are_answered(
+    rows: int, noise_mm: float, window: int
+) -> None:
+    """A force in steps of 0.1 kPa, or a moving mean, grows wherever noise lifts the body."""
+    table, rng = pressed(32.0), np.random.default_rng(5)
+    z = np.linspace(0.0, 60.0, rows)
+    force = np.interp(z, table.sinkage_mm, table.force_N)
+    noisy = force * (1.0 + 0.01 * rng.standard_normal(rows))
+    filtered = np.convolve(np.pad(noisy, window // 2, "edge"), np.ones(window) / window, "valid")
+    quiet = filtered if window > 1 else np.round(force / 1.8) * 1.8
+    sinkage = z + noise_mm * rng.standard_normal(rows)
+    answer = terraphi.invert(
+        pd.DataFrame({"sinkage_mm": sinkage, "force_N": quiet}), tool="plate:151", density=1500
+    )
+    assert answer.phi.median == pytest.approx(32.0, abs=answer.phi.sd)
+
+
 def cullinan() -> pd.DataFrame:
     """A plate on loose sand."""
     sand = pd.read_csv(DATA / "sands" / "cullinan_plates.csv", comment="#")
