@@ -14,7 +14,7 @@ import pytest
 
 from terraphi.experiment.documents import DATA
 from terraphi.experiment.errors import InputError
-from terraphi.experiment.history import ForceHistory
+from terraphi.experiment.history import OBSERVATION_ANGLES, WINDOW_DEG, ForceHistory
 from terraphi.experiment.measurements import measurement, names
 from terraphi.experiment.rig import Rig
 from terraphi.experiment.scenario import Scenario
@@ -285,6 +285,26 @@ def test_a_hip_that_the_forces_contradict_is_named(higher: float) -> None:
     named = [q for q in invert(table, rig=given, density=1650).warnings if "fit a hip" in q]
     assert len(named) == (higher != 0.0)
     assert all(("higher" if higher > 0.0 else "lower") in sentence for sentence in named)
+
+
+def test_the_error_of_a_hip_by_the_forces_is_as_stated() -> None:
+    """Errors of 3 % that are equal over seven windows: over its error the hip's has a size of 1.
+
+    Its mean square over 120 has itself an error of √(2 / 120) = 0.13.
+    """
+    rig, rng, ratios = Rig.of("li2013", "straight"), np.random.default_rng(0), []
+    law = shipped_legs().law(rig)
+    [exact], theta = law(np.array([[30.0]])), law.theta_deg
+    spacing = 2.0 * WINDOW_DEG / (OBSERVATION_ANGLES - 1)
+    stretch = ((theta - theta[0]) // (7.0 * spacing)).astype(int)
+    size = 0.03 * np.ptp(exact, axis=1, keepdims=True) * (exact != 0.0)
+    for _ in range(120):
+        fx, fz = exact + size * rng.normal(size=(2, stretch[-1] + 1))[:, stretch]
+        table = pd.DataFrame({"theta_deg": theta, "Fx_N": fx, "Fz_N": fz})
+        record = open_record(table, rig=rig, density=1650.0)
+        free = Likelihood([record], shipped_legs()).free_cohesion(0, with_hip=True)
+        ratios.append(free.higher_mm / free.higher_sd_mm)
+    assert np.mean(np.square(ratios)) == pytest.approx(1.0, abs=0.2)
 
 
 def test_the_hip_of_measured_records_is_not_doubted_and_a_wrong_one_is() -> None:

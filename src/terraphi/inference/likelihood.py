@@ -549,10 +549,12 @@ class Likelihood:
         size = float(np.sqrt(np.square(residuals - columns @ solution).mean()))
         if not with_hip:
             return Free(0.0, 0.0, size, cohesion)
-        # σ² (X'X)⁻¹ of the hip, the third column, with σ² of residuals that are independent in one
-        # of seven windows.
-        variance = WINDOWS_PER_RESIDUAL * size**2 * np.linalg.pinv(columns.T @ columns)[2, 2]
-        return Free(float(solution[2]), math.sqrt(variance), size, cohesion)
+        # Of the hip, the third column, (X'X)⁻¹ r'r / (ν − p): residuals are independent in one of
+        # seven windows, and the fit takes one for each of p parameters.
+        freedom = len(residuals) / WINDOWS_PER_RESIDUAL - columns.shape[1]
+        variance = np.linalg.pinv(columns.T @ columns)[2, 2] * len(residuals) * size**2
+        sd = math.sqrt(variance / freedom) if freedom > 0.0 else math.inf
+        return Free(float(solution[2]), sd, size, cohesion)
 
     def at_scaled_forces(self, factors: Sequence[float]) -> list[float | None]:
         """φ by forces that are larger by factors [deg]; ``None`` outside the law.
