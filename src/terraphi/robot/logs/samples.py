@@ -137,7 +137,7 @@ def sound(log: JointLog) -> tuple[JointLog, Counter[str]]:
     keep, lost = increasing(values["stamp"])
     if not keep.all():
         values = {name: column[keep] for name, column in values.items()}
-    return replace(log, time=values.pop("stamp"), **values), +(dropped + lost)
+    return replace(log, time=values.pop("stamp"), **values), dropped + lost
 
 
 def _numbers(name: str, column: Any) -> FloatArray:
@@ -157,19 +157,28 @@ def _of_sensors(values: dict[str, Any], dropped: Counter[str]) -> dict[str, Any]
     """Samples whose numbers can be those of sensors; the others are counted."""
     finite = np.isfinite(values["stamp"].astype(np.float64))
     for name in values.keys() - {"stamp", "recorded"}:
-        finite &= (np.abs(values[name]) < LARGEST).reshape(len(finite), -1).all(axis=1)
-    within = (np.abs(values["angle"]) <= FULL_TURN).all(axis=(1, 2))
-    unit = np.ones_like(within)
+        finite &= _bounded(values[name], LARGEST)
+    within, unit = _bounded(values["angle"], FULL_TURN), np.ones_like(finite)
     if "quaternion" in values:
-        size = np.linalg.norm(values["quaternion"], axis=1)
+        size = np.sqrt(np.einsum("ij,ij->i", *[values["quaternion"]] * 2))
         # A zero quaternion is none, unless all samples lack their attitude.
-        unit = (np.abs(size - 1.0) < 0.1) | ((size == 0.0) & ~size[finite & within].any())
+        unit = np.abs(size - 1.0) < 0.1
+        if not unit.all():
+            unit |= (size == 0.0) & ~size[finite & within].any()
     keep = finite & within & unit
     if keep.all():
         return values
     bad = {NOT_FINITE: ~finite, TURNED: finite & ~within, ATTITUDE: finite & within & ~unit}
     dropped.update({reason: int(which.sum()) for reason, which in bad.items()})
     return {name: column[keep] for name, column in values.items()}
+
+
+def _bounded(column: NDArray[Any], bound: float) -> BoolArray | np.bool_:
+    """Samples whose numbers are all within ± bound; a single ``True`` if all are."""
+    # No square is larger than their sum, which takes a tenth of the time for a single sample.
+    if column.dtype.kind == "f" and np.vdot(column, column) < bound**2:
+        return np.True_
+    return (np.abs(column) <= bound).reshape(len(column), -1).all(axis=1)
 
 
 def refuse_if_hopeless(path: Path | str, dropped: Counter[str], kept: int) -> None:
@@ -274,7 +283,7 @@ def increasing(time: FloatArray) -> tuple[BoolArray, Counter[str]]:
         Reasons and numbers of those that go.
     """
     keep = np.ones(len(time), dtype=bool)
-    if (np.diff(time) > 0).all():
+    if len(time) < 2 or (np.diff(time) > 0).all():
         return keep, Counter()
     keep[1:] &= np.diff(time) != 0
     repeated, t = int((~keep).sum()), time[keep]
