@@ -342,7 +342,7 @@ def test_a_library_of_other_soil_or_of_a_part_of_the_stroke_is_refused(tmp_path:
         [case._replace(history=case.history.between(*np.radians(ends))) for case in library.cases]
         for ends in ([-44.0, 90.0], [-90.0, 44.0])
     )
-    for cases, why in ((other, "another soil.dilation_angle_deg than law legs"),
+    for cases, why in ((other, "from law legs in soil.dilation_angle_deg"),
                        (front, "do not turn from air to air"),
                        (end, "do not turn from air to air")):  # fmt: skip
         replace(library, cases=tuple(cases)).save(tmp_path / "other.nc")
