@@ -11,6 +11,13 @@ from pydantic import TypeAdapter, ValidationError
 from terraphi.experiment.motion import Motion, Rotation, Translation, bin_centres
 
 
+def test_a_profile_of_rates_is_refused_with_the_remedy() -> None:
+    """Files of earlier versions have the key, with null where there was none."""
+    assert Rotation.model_validate({"rate_profile": None}) == Rotation()
+    with pytest.raises(ValueError, match="give rate"):
+        Rotation.model_validate({"rate_profile": [[-90.0, 0.1], [90.0, 0.2]]})
+
+
 def test_the_benchmark_takes_23_56_seconds() -> None:
     motion = Rotation()
     assert motion.duration == pytest.approx(1.5 * math.pi / 0.2)

@@ -530,6 +530,9 @@ def test_a_scale_and_a_turn_are_checked(given: dict[str, Any]) -> None:
         read_forces(frame()[["theta", "Fx"]].assign(torque=FZ), sensor_angle_deg=30.0)
     with pytest.raises(InputError, match="one of them is missing"):
         read_forces(frame()[["theta", "Fx"]].assign(torque=FZ), sensor_turns=True)
+    for value in ("True", "yes", 1):
+        with pytest.raises(InputError, match="true or false"):
+            read_forces(frame(), sensor_turns=value)
 
 
 @pytest.mark.parametrize("weight", [0.0, 4.0])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from typing import Any
 
@@ -75,6 +76,16 @@ def test_a_bound_by_the_critical_angle_and_a_misfit_have_no_advice() -> None:
     answer = terraphi.invert(tripled, **given)
     assert answer.verdict == "misfit"
     assert not terraphi.next_measurements(answer)
+
+
+def test_a_plan_outside_the_law_names_the_angles_that_are_inside() -> None:
+    with pytest.raises(terraphi.InputError, match="phi = 5 ") as caught:
+        terraphi.plan("li2013", leg="c", phi_deg=5.0)
+    low, high = map(float, re.findall(r"\d+", str(caught.value))[-2:])
+    for allowed, outside in ((low, low - 1.0), (high, high + 1.0)):
+        terraphi.plan("li2013", leg="c", phi_deg=allowed)
+        with pytest.raises(terraphi.InputError, match=f"phi = {outside:g} "):
+            terraphi.plan("li2013", leg="c", phi_deg=outside)
 
 
 @pytest.mark.parametrize(

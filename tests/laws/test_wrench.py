@@ -203,6 +203,11 @@ def test_a_pose_is_the_mesh_turned_and_moved() -> None:
         np.testing.assert_allclose(moment + np.cross(arm, f), expected[1], rtol=1e-9, atol=1e-9)
 
 
+def test_points_normals_and_areas_are_for_another_function() -> None:
+    with pytest.raises(InputError, match="call wrench"):
+        Mesh(np.zeros((1, 3)), np.ones((1, 3)), np.ones(1))
+
+
 def test_triangles_are_submerged_in_part() -> None:
     """A sole in any attitude has the force of faces that are small, and their moment."""
     rng = np.random.default_rng(0)

@@ -163,6 +163,14 @@ def test_feet_that_are_capsules_are_refused_with_the_remedy(tmp_path: Path) -> N
     assert capsules != text
     with pytest.raises(InputError, match="'FR_foot' is a capsule; put a sphere"):
         Robot.load(written(tmp_path, capsules, "robot.xml"))
+    given = written(tmp_path, 'model = "robot.xml"\nfoot_radius = 0.022\n', "robot.toml")
+    assert Robot.load(given).foot_radius == 0.022
+    drawn = capsules.replace("0.022 0.03", '0.022 0.03" contype="0" conaffinity="0')
+    assert Robot.load(written(tmp_path, drawn, "robot.xml")).foot_radius == 0.0
+    given = written(tmp_path, 'model = "robot.xml"\nfoot_radius = 0.022\n', "robot.toml")
+    assert Robot.load(given).foot_radius == 0.022
+    drawn = capsules.replace("0.022 0.03", '0.022 0.03" contype="0" conaffinity="0')
+    assert Robot.load(written(tmp_path, drawn, "robot.xml")).foot_radius == 0.0
 
 
 def test_unknown_robot_and_missing_files(tmp_path: Path) -> None:

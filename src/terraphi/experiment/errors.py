@@ -107,6 +107,7 @@ def sentence_from_validation(error: ValidationError, source: str, model: type[An
     if kind == "missing":
         return f"{source}: key '{key}' is missing"
     message = first["msg"].removeprefix("Value error, ").removeprefix("Input ").rstrip(".")
+    message = message.replace("an object", "a table").replace("a valid boolean", "true or false")
     if kind == "value_error":
         return f"{source}: {key and key + ': '}{message}"
     if kind == "list_type" and isinstance(first["input"], dict):
@@ -117,7 +118,7 @@ def sentence_from_validation(error: ValidationError, source: str, model: type[An
         message = f"should be {expected}"
     hint = nearest(str(value), expected.strip("'").replace("' or '", "', '").split("', '"))
     hint = f"; {hint}" if hint.startswith("did") else ""
-    return f"{source}: {key} = {value!r:.60}: {message.replace('an object', 'a table')}{hint}"
+    return f"{source}: {key} = {value!r:.60}: {message}{hint}"
 
 
 def _keys_at(model: type[Any], path: tuple[Any, ...]) -> list[str]:

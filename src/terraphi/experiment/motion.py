@@ -6,7 +6,7 @@ A motion maps time to poses, and cuts its path into the bins over which forces a
 from __future__ import annotations
 
 import math
-from typing import Annotated, ClassVar, Literal, NamedTuple, Self
+from typing import Annotated, Any, ClassVar, Literal, NamedTuple, Self
 
 import numpy as np
 from pydantic import Discriminator, Field, Tag, model_validator
@@ -64,7 +64,7 @@ class Rotation(Strict):
     """Last leg angle [deg]."""
     rate: float = Field(0.2, gt=0)
     """Angular rate ω [rad/s]."""
-    rate_profile: SkipJsonSchema[None] = None
+    rate_profile: SkipJsonSchema[Any] = None
     """Not used; files of earlier versions name it."""
 
     @model_validator(mode="after")
@@ -72,6 +72,8 @@ class Rotation(Strict):
         if not self.start_deg < self.stop_deg:
             ends = f"start_deg = {self.start_deg:g} must be below stop_deg = {self.stop_deg:g}"
             raise ValueError(ends)
+        if self.rate_profile is not None:
+            raise ValueError("rate_profile: one rate is left; give rate")
         return self
 
     @property

@@ -156,13 +156,16 @@ def plan(
     apparatus = record.rig
     if math.isinf(record.cohesion_sd_pa):
         raise InputError("a plan needs a cohesion; give PA±SD")
-    offset_deg = float(law.error.offset(apparatus, record.grain_size_mm, np.array(phi_deg)))
-    low, high = law.phi_deg
-    if not low <= phi_deg + offset_deg <= high:
-        read = f"phi = {phi_deg:g} is {phi_deg + offset_deg:.1f}° as law legs reads it"
-        raise InputError(f"{read}, outside its {low:g} to {high:g}°; give another")
+    angles = np.append(np.arange(90.0), phi_deg)
+    angles_of_law = angles + law.error.offset(apparatus, record.grain_size_mm, angles)
+    in_range = (law.phi_deg[0] <= angles_of_law) & (angles_of_law <= law.phi_deg[1])
+    if not in_range[-1]:
+        first, last = np.flatnonzero(in_range)[[0, -1]]
+        meaning = f"phi = {phi_deg:g} is {angles_of_law[-1]:.1f}° as law legs reads it"
+        ends = "{:g} to {:g}".format(*law.phi_deg)
+        raise InputError(f"{meaning}, outside its {ends}°; give {first} to {last}°")
     curves = law.forces(
-        apparatus, phi_deg + offset_deg, density=record.density_kg_m3,
+        apparatus, float(angles_of_law[-1]), density=record.density_kg_m3,
         cohesion_pa=record.cohesion_pa,
     )  # fmt: skip
     # Forces come as late as those of other records of this shape.

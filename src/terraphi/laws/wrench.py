@@ -111,8 +111,10 @@ class Mesh:
 
     corners: FloatArray
 
-    def __init__(self, corners: Any) -> None:
+    def __init__(self, corners: Any, *former: Any) -> None:
         """Check the corners; raises InputError."""
+        if former:
+            raise InputError("Mesh takes corners alone; for points, normals and areas call wrench")
         ends: dict[str, Any] = {"low": -2.0 * LARGEST, "high": 2.0 * LARGEST, "unit": "m"}
         corners = numbers("corners", corners, last=(3,), **ends)
         if corners.ndim != 3 or corners.shape[1] != 3 or not corners.size:

@@ -182,8 +182,7 @@ class Robot:
     @property
     def joint_names(self) -> tuple[str, ...]:
         """Names of the joints in :attr:`legs`, without hips that are not there."""
-        names = (name for leg in self.legs for name in leg)
-        return tuple(name for name, has in zip(names, self.there.flat, strict=True) if has)
+        return tuple(np.array(self.legs)[self.there].tolist())
 
     @property
     def own_names(self) -> tuple[str, ...]:
@@ -234,7 +233,8 @@ class Robot:
         Parameters
         ----------
         source
-            ``"go2"``, or a path that ends in ``.urdf``, ``.xml`` or ``.toml``. A robot stays.
+            ``"go2"``, or a path that ends in ``.urdf``, ``.xml`` or ``.toml``. A Robot is
+            returned as it is.
 
         Raises
         ------
@@ -279,7 +279,7 @@ def _loaded(path: Path, settings: RobotFile, toml: str = "") -> Robot:
     sole = settings.sole
     if sole is None and not settings.foot_radius and count > len(JOINTS):
         sole = _sole(model, data, ends[0])[1]
-    ends_of = [_foot(model, data, int(end), str(path), sole) for end in ends]
+    ends_of = [_foot(model, data, int(end), str(path), sole, settings.foot_radius) for end in ends]
     body, offset, radius = (np.array(column) for column in zip(*ends_of, strict=True))
     # Stretched out, from thigh by knee to foot; without a hip's offset, which does not lift it.
     chain = np.concatenate([data.xanchor[joint[:, 1:]], _balls(data, body, offset)[:, None]], 1)
@@ -585,7 +585,7 @@ def _sole(
 
 def _foot(
     model: mujoco.MjModel, data: mujoco.MjData, end: int, source: str,
-    sole: tuple[float, float] | None,
+    sole: tuple[float, float] | None, radius: float | None,
 ) -> tuple[int, FloatArray, float]:  # fmt: skip
     """Body, place in it and radius of the ball at the end of a leg, or of the middle of its sole.
 
@@ -603,11 +603,13 @@ def _foot(
         for ball in (g for g in balls if model.geom_bodyid[g] == body and sole is None):
             # A sphere that is a little off its frame belongs to the foot's frame nevertheless.
             return body, model.geom_pos[ball].copy(), float(model.geom_size[ball, 0])
-        capsules = model.geom_bodyid[model.geom_type == mujoco.mjtGeom.mjGEOM_CAPSULE]
-        if sole is not None or body not in capsules:
+        # Others only draw.
+        solid = (model.geom_contype | model.geom_conaffinity) > 0
+        capsules = solid & (model.geom_type == mujoco.mjtGeom.mjGEOM_CAPSULE)
+        if sole is not None or radius is not None or body not in model.geom_bodyid[capsules]:
             return body, np.zeros(3), 0.0
-        why = f"the foot '{model.body(body).name}' is a capsule; put a sphere at its lower cap"
-        raise InputError(f"{source}: {why}")
+        foot = f"the foot '{model.body(body).name}' is a capsule"
+        raise InputError(f"{source}: {foot}; put a sphere at its lower cap")
     balls = [g for g in balls if model.geom_bodyid[g] == end]
     if not balls or sole is not None:
         raise InputError(
