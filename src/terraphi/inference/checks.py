@@ -102,7 +102,8 @@ HIP_MM, HIP_RESIDUAL, HIP_SURE = 4.0, 0.05, 2.58
 one in a hundred [-]; residual of both forces below which it is looked for [-]. In the records of Li
 et al. (2013) whose residual is below 5 % the forces give the hip within 2.5 mm. Of 88 records of
 grains none is named; two would be by the first number alone. Held out were 8 records of grains by
-another program and 17 simulations of Li's legs: none is named; with a hip 8 mm too low all simulations are."""
+another program and 17 simulations of Li's legs: none is named; with a hip 8 mm too low all
+simulations are."""
 UNUSUAL = 2.0
 """Standard deviations that are unusual [-]: one in twenty."""
 FAR_APART_DEG = 10.0
