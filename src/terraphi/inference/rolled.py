@@ -279,13 +279,13 @@ def _answer(
     posterior = normal_density(fit.mean, root_sum_square(budget))
     estimate = Estimate.of_density(*posterior)
     fitted = _record_fit(record, roll, fit, estimate)
-    judgment = verdict, reason, _ = _verdict(roll, fit, fitted)
+    judgment, excess = _verdict(roll, fit, fitted)
     return tool_answer(
         record, law, began, judgment=judgment, posterior=posterior, budget_deg=budget,
         friction=roll.friction, records=(fitted,),
-        phi_of_force_deg=_phi_of_force(roll, fit) if verdict == "consistent" else None,
+        phi_of_force_deg=_phi_of_force(roll, fit) if judgment[0] == "consistent" else None,
         warnings=(
-            *_contradictions(roll, fit, reason), *notes,
+            *_contradictions(roll, fit, excess), *notes,
             *unusual(estimate.median, "size of the wheel"),
         ),
         covariance=np.diag((fit.scatter * fitted.data[0]) ** 2),
@@ -343,9 +343,9 @@ def phi_along(forces: Any, tool: Tool | str, **options: Any) -> dict[str, FloatA
              "load": ("load_N", 1.0), "sinkage": ("sinkage_mm", 1e3)}  # fmt: skip
     given = {name: factor * roll.rows[role] for role, (name, factor) in names.items()
              if role in roll.rows}  # fmt: skip
-    inside = (roll.read_deg > roll.angles[0]) & (roll.read_deg < roll.angles[-1])
-    inside &= fit.phi <= LOOSE_DEG
-    angles = np.where(inside, [fit.phi, relative, np.sqrt(variance)], math.nan)
+    is_in_range = (roll.read_deg > roll.angles[0]) & (roll.read_deg < roll.angles[-1])
+    is_in_range &= fit.phi <= LOOSE_DEG
+    angles = np.where(is_in_range, [fit.phi, relative, np.sqrt(variance)], math.nan)
     return given | dict(zip(("phi_deg", "sd_relative_deg", "sd_deg"), angles, strict=True))
 
 
@@ -377,14 +377,14 @@ def usable(
          f"the wheel sinks in deeper than {limit}, {DEEPEST:g} of the radius; check its diameter",
          f"deeper than {limit}, {DEEPEST:g} of the radius"),
     )  # fmt: skip
-    inside = np.ones(slip.size, dtype=bool)
-    for wrong, refusal, reason in faults:
-        if wrong[inside].all():
+    is_in_range = np.ones(slip.size, dtype=bool)
+    for fault, refusal, reason in faults:
+        if fault[is_in_range].all():
             raise InputError(f"{label}: {refusal}")
-        if wrong.any():
-            notes.append(f"{wrong.sum()} of {wrong.size} rows are left out: {reason}.")
-        inside &= ~wrong
-    kept = {name: value[inside] for name, value in values.items()}
+        if fault.any():
+            notes.append(f"{fault.sum()} of {fault.size} rows are left out: {reason}.")
+        is_in_range &= ~fault
+    kept = {name: value[is_in_range] for name, value in values.items()}
     if (count := kept["slip"].size) > most:
         first = np.unique(np.linspace(0, count, most, endpoint=False).astype(int))
         columns = np.stack(list(kept.values()), axis=1)
@@ -510,15 +510,16 @@ def draw_rolled(
         axes.set(xlabel="slip", ylabel=label)
 
 
-def _verdict(roll: _Roll, fit: _Mean, record: RecordFit) -> Judgment:
-    """Verdict, its reason, and the end of the law beyond which φ lies."""
-    read, low, high = np.median(roll.read_deg), roll.angles[0] + 0.1, roll.angles[-1] - 0.1
+def _verdict(roll: _Roll, fit: _Mean, record: RecordFit) -> tuple[Judgment, str]:
+    """Verdict, and name of the reading that is larger than soil of this φ bears; empty of none."""
+    median, low, high = np.median(roll.read_deg), roll.angles[0] + 0.1, roll.angles[-1] - 0.1
     advice = "check diameter, width, load and sinkage, their units and the zero of the sinkage"
-    if read >= high or fit.mean > LOOSE_DEG:
+    if median >= high or fit.mean > LOOSE_DEG:
         end = min(LOOSE_DEG, high)
-        return out_of_range(roll.law, "high", end, advice, "the densest soil that wheels can read")
-    if read <= low:
-        return out_of_range(roll.law, "low", low, advice)
+        densest = "the densest soil that wheels can read"
+        return out_of_range(roll.law, "high", end, advice, densest), ""
+    if median <= low:
+        return out_of_range(roll.law, "low", low, advice), ""
     # A wheel that drives pulls less than its torque over the radius.
     # Soil bears at most tan φ of the normal force as shear, with two errors of the law.
     most = math.tan(math.radians(fit.mean + 2.0 * roll.error.law_deg))
@@ -529,8 +530,9 @@ def _verdict(roll: _Roll, fit: _Mean, record: RecordFit) -> Judgment:
         shear = np.abs(shear[np.isfinite(shear)])
         if shear.size and (ratio := float(np.median(shear))) > most:
             ratios = f"{ratio:.2f} of {over}, and soil of this angle bears {most:.2f}"
-            return misfit(f"the {name} is {ratios}; check their columns, units, gear and zero.")
-    return _by_residual(record, "follows the load within {:.0%}, usual for wheels")
+            reason = f"the {name} is {ratios}; check their columns, units, gear and zero."
+            return misfit(reason), name
+    return _by_residual(record, "follows the load within {:.0%}, usual for wheels"), ""
 
 
 def _by_residual(record: RecordFit, follows: str) -> Judgment:
@@ -547,16 +549,16 @@ def _phi_of_force(roll: _Roll, fit: _Mean) -> dict[str, float | None]:
     scaled: dict[str, float | None] = {}
     for name, factor in (("half", 0.5), ("twice", 2.0)):
         rows = roll.read(roll.loads, factor)
-        inside = (rows > roll.angles[0]) & (rows < roll.angles[-1])
+        is_in_range = (rows > roll.angles[0]) & (rows < roll.angles[-1])
         phi = fit.mean + float(fit.weight @ (rows - roll.read_deg))
-        scaled[name] = phi if inside[fit.weight > 0.0].all() and phi < LOOSE_DEG else None
+        scaled[name] = phi if is_in_range[fit.weight > 0.0].all() and phi < LOOSE_DEG else None
     return scaled
 
 
-def _contradictions(roll: _Roll, fit: _Mean, reason: str) -> list[str]:
+def _contradictions(roll: _Roll, fit: _Mean, excess: str) -> list[str]:
     """Sentences on a torque beyond the rim, and a pull that contradicts the torque or the law.
 
-    A torque that the reason of the verdict names is not named once more.
+    A torque that is too large by the verdict is not named once more.
     """
     rows, reach = roll.rows, roll.wheel.reach
     sentences: list[str] = []
@@ -565,7 +567,7 @@ def _contradictions(roll: _Roll, fit: _Mean, reason: str) -> list[str]:
         ratio = float(np.nanmedian((rows["torque"] / (rows["load"] * reach))[driven]))
         if ratio < -SLACK:
             sentences.append("The torque brakes a wheel that slips forward: check its sign.")
-        elif ratio > roll.friction + OTHER_TORQUE and "torque" not in reason:
+        elif ratio > roll.friction + OTHER_TORQUE and excess != "torque":
             sentences.append(
                 f"The torque is {ratio:.2f} of load times radius, and a rim of friction "
                 f"{roll.friction:.2f} bears less: check the diameter and the torque's unit."

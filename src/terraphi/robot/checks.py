@@ -230,9 +230,9 @@ def check(
         mean = balance(its_forces, steps, robot.mass * GRAVITY)
         findings = _motion(part, robot, its_forces, mean)
         # With a wrong attitude or order of the legs torques are not those of the motion either.
-        wrong = any(f.grave and f.about in (REFUSED, "attitude", "legs") for f in findings)
+        other_motion = any(f.grave and f.about in (REFUSED, "attitude", "legs") for f in findings)
         lag, gain = lag_and_gain(part, robot, its_forces.lift_per_torque, forces.friction)
-        findings = [*([] if wrong else _torques(part, robot, lag, gain)), *findings]
+        findings = [*([] if other_motion else _torques(part, robot, lag, gain)), *findings]
         findings = [*_jumps(part, robot), *_still(part, robot), *findings]
         # Without swing, as while the robot stands, torques have no lag that could be found.
         open_ = ("lag",) * bool(np.isnan(gain).all() and all(f.about != "lag" for f in findings))

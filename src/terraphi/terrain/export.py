@@ -244,8 +244,8 @@ def text(parameters: Mapping[str, Any], form: str) -> str:
         constants["DP_TYPE"] = parameters["dp_type"]
     for name in filter(str.isupper, parameters):
         constants |= {name: parameters[name]["median"], f"{name}_DRAWS": parameters[name]["draws"]}
-    notes = {"DENSITY": assumed(parameters, "  # assumed")}
-    lines = "\n".join(f"{n} = {value!r}{notes.get(n, '')}" for n, value in constants.items())
+    comments = {"DENSITY": assumed(parameters, "  # assumed")}
+    lines = "\n".join(f"{n} = {value!r}{comments.get(n, '')}" for n, value in constants.items())
     # Safe between the quotation marks of a docstring.
     about = [repr(line)[1:-1].replace('"', '\\"') for line in _about(parameters).split("\n")]
     # Isaac Lab runs Newton, and has both modules.

@@ -514,14 +514,14 @@ def in_words(summary: Mapping[str, Any]) -> list[str]:
         f"φ accounts for {share:.0%} of the variance of the factor of safety.",
     ]
     if summary["extrapolated_share"] > 0.0:
-        where = f"{summary['extrapolated_share']:.0%} of the area is extrapolated"
-        why = "no point is near, or as high and steep, and φ is what their mean and trend make it"
-        sentences.append(f"{where} (1 in extrapolated.tif): {why}.")
+        part = f"{summary['extrapolated_share']:.0%} of the area is extrapolated"
+        cause = "no point is near, or as high and steep, and φ is what their mean and trend make it"
+        sentences.append(f"{part} (1 in extrapolated.tif): {cause}.")
     if slope > STEEP_DEG:
         sentences.append("Such steep terrain is rare: check that the elevations are in metres.")
     usual = slopes.priors_of(())
-    read = {"wetness"} if summary["wetness"] != "prior" else set()
-    guessed = [k for k, prior in summary["priors"].items() if prior == usual[k] and k not in read]
+    maps = {"wetness"} if summary["wetness"] != "prior" else set()
+    guessed = [k for k, prior in summary["priors"].items() if prior == usual[k] and k not in maps]
     if guessed:
         sentences.append(f"Not measured, wide default priors: {', '.join(guessed)}.")
     return sentences

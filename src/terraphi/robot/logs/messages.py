@@ -146,7 +146,7 @@ def joint_order(names: Sequence[str], wanted: Sequence[str] | None, robot: Robot
     """
     index: dict[str, int] = {}
     listed, joints = [name for leg in robot.legs for name in leg], robot.joint_names
-    like = URDF_NAMES[0] if robot.legs == LEGS else listed[0]
+    example = URDF_NAMES[0] if robot.legs == LEGS else listed[0]
     hint = f"name the {len(listed)} (--joint-names; in Python joint_names)"
     for name in wanted or ():
         if name not in names or list(wanted or ()).count(name) > 1:
@@ -163,7 +163,7 @@ def joint_order(names: Sequence[str], wanted: Sequence[str] | None, robot: Robot
         unknown = [f", and '{name[:60]}' is not known" for name in names if not joint_place(name)]
         raise InputError(
             f"{len(names)} joints, and none for the {missing[0]}{(unknown or [''])[0]}; expected "
-            f"{len(listed)} named like {like}, or {hint}"
+            f"{len(listed)} named like {example}, or {hint}"
         )
     return [index[joint] if joint in joints else -1 for joint in listed]
 
