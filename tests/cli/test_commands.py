@@ -276,7 +276,7 @@ def test_the_raw_file_of_a_lab_is_one_command(terraphi: Terraphi, tmp_path: Path
     history = package.measurement("li2013:yuma/straight").history
     turn = np.radians(-30.0)
     angle, force = history.theta_deg, (history.Fx + 1j * history.Fz) * np.exp(1j * turn)
-    pieces = [(angle, force), (angle[::-1], 0.02 * force[::-1]), (angle, force)]
+    pieces = [(angle, force), (angle[::-1], 0.02 * force[::-1]), (angle, 1.01 * force)]
     theta, read = (np.concatenate(column) for column in zip(*pieces, strict=True))
     read /= 9.80665
     lab = pd.DataFrame({

@@ -422,6 +422,24 @@ def test_a_wrong_leg_that_fits_is_doubted_by_the_second_opinion() -> None:
     assert not any(q.startswith("Resistive force theory") for q in right.warnings)
 
 
+@pytest.mark.parametrize(
+    ("forces", "critical"),
+    [
+        ("li2013:yuma/straight", None),
+        ("li2013:yuma/straight", "33±1"),
+        (["li2013:yuma/straight", "li2013:yuma/c"], None),
+    ],
+)
+def test_an_angle_by_law_is_of_the_answer_that_has_it(
+    forces: str | list[str], critical: str | None
+) -> None:
+    """Less the offset it is φ; an answer of several fits has neither."""
+    answer = invert(forces, critical=critical)
+    by_law = answer.provenance.get("law_phi_deg", answer.phi.median)
+    offset = answer.provenance.get("offset_deg", 0.0)
+    assert by_law - offset == pytest.approx(answer.phi.median)
+
+
 def test_an_angle_beyond_the_soils_that_were_learned_from_is_said() -> None:
     """Of forces of the law itself, as of measured ones."""
     answers, law = [], shipped_legs().law(Rig.of("li2013", "straight"))
@@ -482,8 +500,8 @@ def test_the_cohesion_of_a_simulated_soil_is_known() -> None:
     curves = shipped_legs().forces("li2013", 28.0, leg="straight", cohesion_pa=150.0).forces[0]
     theta = np.radians(curves.theta_deg.values)
 
-    def simulated(cohesion: float) -> ForceHistory:
-        soil = damp.replace(**{"soil.cohesion": cohesion})
+    def simulated(cohesion: float, leg: str = "straight") -> ForceHistory:
+        soil = damp.replace(**{"soil.cohesion": cohesion, "leg.shape": leg})
         provenance = {"scenario": soil.model_dump(mode="json")}
         return ForceHistory(theta, curves.values.T, provenance=provenance)
 
@@ -511,6 +529,8 @@ def test_the_cohesion_of_a_simulated_soil_is_known() -> None:
         invert(simulated(400.0), density=900.0)
     with pytest.raises(InputError, match="not one soil"):
         invert([simulated(150.0), simulated(100.0).scaled(1.01)])
+    with pytest.raises(InputError, match="not one soil"):
+        invert([simulated(150.0), simulated(0.0, "c")])
 
 
 def test_simulations_of_other_physics_are_refused_by_the_law_of_legs() -> None:

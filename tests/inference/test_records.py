@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
 from scipy.integrate import quad
 
+from terraphi.experiment.documents import DATA
 from terraphi.experiment.errors import InputError
 from terraphi.experiment.history import ForceHistory
+from terraphi.experiment.measurements import measurement
 from terraphi.experiment.rig import Rig
-from terraphi.inference.records import Record, open_record
+from terraphi.inference.records import Record, open_record, open_records
 
 RIG = Rig.of("li2013", "straight")
 
@@ -141,3 +144,22 @@ def test_a_table_is_a_record_and_rows_need_no_order() -> None:
 def test_density_has_five_percent_unless_said(given: float | str, mean: float, sd: float) -> None:
     item = open_record("li2013:poppy_loose/c", density=given)
     assert (item.density_kg_m3, item.density_sd_kg_m3) == pytest.approx((mean, sd))
+
+
+def test_copies_are_refused_in_one_file_and_in_other_units(tmp_path: Path) -> None:
+    history = measurement("li2013:yuma/straight").history
+    table = pd.DataFrame({
+        "theta_deg": history.theta_deg, "Fx_N": history.Fx, "Fz_N": history.Fz
+    })  # fmt: skip
+    trials = pd.concat([table.assign(trial=1), table.assign(trial=2)], ignore_index=True)
+    with pytest.raises(InputError, match="has the readings of DataFrame"):
+        open_records(trials, rig="li2013", leg="straight")
+    repeat = table.assign(trial=2, Fx_N=1.01 * table.Fx_N)
+    trials = pd.concat([table.assign(trial=1), repeat], ignore_index=True)
+    assert len(open_records(trials, rig="li2013", leg="straight")) == 2
+    plate = pd.read_csv(DATA / "examples" / "plate.csv", comment="#")
+    plate.to_csv(tmp_path / "plate.csv", index=False)
+    kilo = plate.set_axis(["sinkage_m", "force_kN"], axis=1) * 1e-3
+    kilo.to_csv(tmp_path / "kilo.csv", index=False)
+    with pytest.raises(InputError, match=r"kilo\.csv: has the readings of"):
+        open_records([tmp_path / "plate.csv", tmp_path / "kilo.csv"], tool="plate:60")

@@ -54,6 +54,8 @@ def quantiles(
     return np.interp(share, cumulated / cumulated[-1], grid)
 
 
+BY_LAW = ("law_phi_deg", "offset_deg")
+"""Entries of the provenance on one fit to the forces alone."""
 STEP_DEG = 0.05
 """Largest step of the grid of a normal posterior [deg]."""
 NO_PLANE_STRAIN = "√J₂ = p tan φ has no plane-strain equivalent from φ = 45° on"

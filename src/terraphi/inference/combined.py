@@ -20,7 +20,7 @@ from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.bodies import OUTLINES
 from terraphi.experiment.errors import InputError
 from terraphi.experiment.rig import Rig
-from terraphi.inference.answer import Answer, Verdict, decimals, normal_density
+from terraphi.inference.answer import BY_LAW, Answer, Verdict, decimals, normal_density
 from terraphi.inference.checks import UNUSUAL
 from terraphi.inference.terms import TERMS, ordered_budget
 
@@ -87,17 +87,17 @@ def combined(answers: Sequence[Answer]) -> Answer:
     Parameters
     ----------
     answers
-        Of the same soil at the same density, in plane strain.
+        Of the same soil at the same density, in one convention.
 
     Raises
     ------
     InputError
-        If an answer is in another convention.
+        If their conventions differ.
     LookupError
         If the table of terms lacks a term of an answer.
     """
     if len({answer.convention for answer in answers}) > 1:
-        raise InputError("answers that are joined are of φ in plane strain; leave out --law")
+        raise InputError("φ in different conventions has no common angle; leave out --law")
     names = [*dict.fromkeys(name for answer in answers for name in answer.budget_deg)]
     phi, errors = np.array([answer.phi.median for answer in answers]), errors_of(answers, names)
     # Generalized least squares of one angle: w = C⁻¹1 / (1'C⁻¹1), of variance w'Cw.
@@ -188,7 +188,7 @@ def _merged(answers: Sequence[Answer], weight: FloatArray, **values: Any) -> Ans
         covariance=covariance,
         warnings=_warnings(answers),
         provenance={
-            **first.provenance,
+            **{k: v for k, v in first.provenance.items() if k not in BY_LAW},
             **{
                 name: [value for answer in answers for value in answer.provenance.get(name, ())]
                 for name in ("gain", "noise")

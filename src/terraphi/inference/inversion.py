@@ -18,7 +18,7 @@ from terraphi.experiment.arrays import FloatArray
 from terraphi.experiment.errors import InputError
 from terraphi.experiment.priors import DAMP_PA
 from terraphi.experiment.rig import with_rig
-from terraphi.inference.answer import Answer, Edge, Estimate, RecordFit
+from terraphi.inference.answer import BY_LAW, Answer, Edge, Estimate, RecordFit
 from terraphi.inference.checks import (
     UNUSUAL,
     Reading,
@@ -182,6 +182,10 @@ def _answers(
     if calibration is not None and not legs:
         raise InputError("a tool excludes calibration; leave out one or the other")
     answers: list[Answer] = []
+    cohesions = sorted({(record.cohesion_pa, record.cohesion_sd_pa) for record in legs})
+    if len(cohesions) > 1:
+        texts = " and ".join(f"{mean:g}±{sd:g} Pa" for mean, sd in cohesions)
+        raise InputError(f"soils with a cohesion of {texts} are not one soil; infer each alone")
     if legs:
         from threadpoolctl import threadpool_limits
 
@@ -261,7 +265,8 @@ def with_critical(answer: Answer, critical: float | str) -> Answer:
         answer,
         density=density,
         phi_peak=peak if excess >= least else None,
-        provenance={**answer.provenance, "critical": [mean, sd]},
+        provenance={k: v for k, v in answer.provenance.items() if k not in BY_LAW}
+        | {"critical": [mean, sd]},
         # What half the force, or damp soil, would read is of the forces alone.
         phi_of_force_deg=None,
         phi_if_damp_deg=None,

@@ -201,7 +201,8 @@ class Likelihood:
     Parameters
     ----------
     records
-        Of one soil, with the same :attr:`~terraphi.inference.records.Record.conditions`.
+        Of one soil of one cohesion, with the same
+        :attr:`~terraphi.inference.records.Record.conditions`.
     library
         Has the leg of the records.
     calibration
@@ -258,14 +259,10 @@ class Likelihood:
     def _fitted_cohesions(self) -> FloatArray:
         """Cohesions that φ is fitted at [Pa].
 
-        Raises InputError if records differ in it, or if it exceeds the law's range.
+        Raises InputError if it exceeds the law's range.
         """
-        cohesions = {(record.cohesion_pa, record.cohesion_sd_pa) for record in self.records}
+        mean, sd = self.records[0].cohesion_pa, self.records[0].cohesion_sd_pa
         most = self.law.most_cohesion / self._per_pascal
-        if len(cohesions) > 1:
-            texts = " and ".join(f"{mean:g}±{sd:g} Pa" for mean, sd in sorted(cohesions))
-            raise InputError(f"soils with a cohesion of {texts} are not one soil; infer each alone")
-        [(mean, sd)] = cohesions
         if not self.measured and not most:
             return np.zeros(1)
         if (mean or sd) and not most:

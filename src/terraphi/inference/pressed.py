@@ -9,7 +9,6 @@ large A have an offset and a standard deviation of their own, learned from one s
 
 from __future__ import annotations
 
-import hashlib
 import importlib.metadata
 import math
 import time
@@ -37,6 +36,7 @@ from terraphi.inference.records import (
     density_with_sd,
     grain_size,
     is_ceiling,
+    readings_hash,
     roughness,
 )
 from terraphi.inference.terms import TERMS, ordered_budget, root_sum_square
@@ -134,9 +134,8 @@ class PressedRecord:
 
     @property
     def readings_hash(self) -> str:
-        """Hash of its readings, by which a record is recognized."""
-        values = b"".join(value.tobytes() for value in self.table.values.values())
-        return hashlib.sha256(values).hexdigest()[:16]
+        """:func:`~terraphi.inference.records.readings_hash` of its table."""
+        return readings_hash(np.array([*self.table.values.values()]))
 
 
 def tool_answer(

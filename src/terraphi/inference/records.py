@@ -16,7 +16,6 @@ R y, and averaged in the same windows:
 from __future__ import annotations
 
 import hashlib
-import itertools
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -185,8 +184,8 @@ class Record:
 
     @property
     def readings_hash(self) -> str:
-        """Hash of the window means to a nanonewton, by which a record is recognized."""
-        return hashlib.sha256((self.data.round(9) + 0.0).tobytes()).hexdigest()[:16]
+        """:func:`readings_hash` of the window means."""
+        return readings_hash(self.data)
 
     def means(self, values: FloatArray) -> FloatArray:
         """Window means of values at each reading, shape [reading] -> [m]."""
@@ -324,11 +323,13 @@ def open_records(
                 apparatus = {"leg": body, "rig": rig}
             measurements = _measurements(source, tared(columns, **apparatus))
             opened = [record_of(item, **apparatus, **options) for item in measurements]
-        for record, other in itertools.product(opened, records):
-            if record.rig == other.rig and record.readings_hash == other.readings_hash:
-                same = f"{record.source}: has the readings of {other.source}"
-                raise InputError(f"{same}; leave one out, a repeat is another stroke")
         records += opened
+    originals: dict[object, Record | PressedRecord] = {}
+    for record in records:
+        original = originals.setdefault((record.rig, record.readings_hash), record)
+        if original is not record:
+            copy = f"{record.source}: has the readings of {original.source}"
+            raise InputError(f"{copy}; leave one out, a repeat is another stroke")
     return records
 
 
@@ -588,6 +589,11 @@ def grain_size(given: float | str | None, width_mm: float, name: str) -> float:
         accepted = f"{SMALLEST_GRAIN_MM:g} to {largest:.3g} mm are accepted on {width_mm:g} mm"
         raise InputError(f"{name}: grain_size_mm = {grains:g}; {accepted}")
     return grains
+
+
+def readings_hash(values: FloatArray) -> str:
+    """Hash of readings [N], [m] to a billionth, by which a record is recognized."""
+    return hashlib.sha256((values.round(9) + 0.0).tobytes()).hexdigest()[:16]
 
 
 def is_ceiling(force: FloatArray, end: float, resolution: float) -> bool:
