@@ -72,6 +72,13 @@ def test_answers_far_apart_are_a_misfit_and_one_misfit_spoils_all(plate: Answer)
         combined([low, replace(low, convention="rft3d")])
 
 
+def test_precise_answers_are_named_with_the_digits_that_they_deserve(plate: Answer) -> None:
+    answers = [normal(plate, 30.0, 0.03, 0.0, "legs"), normal(plate, 30.02, 0.04, 0.0, "foot")]
+    numbers = re.findall(r"([\d.]+) ± ([\d.]+)°", combined(answers).reason)
+    expected = [(answer.phi.median, answer.phi.sd) for answer in answers]
+    np.testing.assert_allclose(np.array(numbers, float), expected, atol=0.006)
+
+
 def test_what_answers_share_is_not_widened_by_their_disagreement(plate: Answer) -> None:
     """It cancels in their difference, so that the difference says nothing of it."""
     difference = [normal(plate, phi, 0.8, 2.5, "foot") for phi in (30.0, 32.2)]

@@ -17,7 +17,7 @@ from terraphi.inference.inversion import SHARE, invert
 from terraphi.laws.foot import LAWS, Foot
 from terraphi.terrain.export import export
 from terraphi.terrain.simulators import NAMES as SIMULATORS
-from terraphi.terrain.simulators import convert
+from terraphi.terrain.simulators import convert, converted_in_words
 from terraphi.terrain.soils import named, soil
 
 
@@ -113,6 +113,8 @@ def test_an_angle_a_name_and_an_answer_take_one_path(terraphi: Any) -> None:
         assert item["ci95"] == pytest.approx(
             [math.sin(math.radians(33.0 + s * 1.96 * 2.0)) for s in (-1, 1)], abs=2e-4
         )
+    # A friction depends on no density.
+    assert "kg/m³" not in " ".join(converted_in_words(same[1]))
     assert loose.genesis()["to"] == "genesis"
     assert [loose.chrono(item)["to"] for item in ("crm", "scm")] == ["chrono-crm", "chrono-scm"]
     assert loose.rft()["PHI_PLANE_STRAIN_DEG"]["median"] == pytest.approx(33.0)
