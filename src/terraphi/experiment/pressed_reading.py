@@ -29,7 +29,7 @@ class PressColumns(Columns):
     sinkage_unit: Literal["mm", "cm", "m", "in", "ft"] | None = None
     """Unit of the sinkage; if not given, that of the header."""
     sinkage_zero: float = 0.0
-    """Value of the column where the body touches the surface, in its unit: 120 where a height falls
+    """Value of the column where the body touches the surface [its unit]: 120 where a height falls
     from there to 75."""
     unit: ForceUnit | None = None
     """Unit of the force; if not given, that of the header."""

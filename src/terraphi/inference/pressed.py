@@ -95,7 +95,7 @@ ROUGHER = 0.1
 """Difference of the friction by which its effect is found [-]."""
 FRICTIONS = (0.05, 0.65)
 """Frictions that law ``foot`` has [-]."""
-HARDER, FEWEST_HARDER = 0.25, 3
+EXCESS, FEWEST_EXCESSES = 0.25, 3
 """Force on readings that are no deeper than earlier ones, less the largest on these, over the
 largest of all [-], and how many such readings a record may not have. Of 64 records (grains, plates
 on sands) with noise of 1 mm and 3 % of the force it is 0.18 at most, with a sinkage that sticks at
@@ -495,9 +495,9 @@ def _virgin(table: ToolTable, label: str) -> tuple[FloatArray, FloatArray, int, 
     virgin = sinkage > deepest
     # Soil that was pressed bears no more than virgin soil did, down to where that was.
     borne = np.maximum.accumulate(np.where(virgin, force, -np.inf))
-    if (more := np.count_nonzero(force > borne + HARDER * top)) >= FEWEST_HARDER:
-        harder = f"in {more} readings the force grows and the sinkage does not"
-        raise InputError(f"{label}: {harder}; check its sensor, or cut the table to one stroke")
+    if (count := np.count_nonzero(force > borne + EXCESS * top)) >= FEWEST_EXCESSES:
+        fault = f"in {count} readings the force grows and the sinkage does not"
+        raise InputError(f"{label}: {fault}; check its sensor, or cut the table to one stroke")
     if (~virgin).any():
         shallow = f"{(~virgin).sum()} of {len(virgin)} readings are no deeper than earlier ones"
         notes.append(f"{shallow} (unloading, rests) and left out.")
