@@ -491,9 +491,9 @@ def _each(
 def _friction(surface_friction: Any) -> float:
     """The friction of all feet [-]; raises InputError."""
     low, high, _ = LIMITS["leg.friction"]
-    if np.shape(surface_friction):
-        raise InputError("surface_friction is an array; give a number, and call once for each")
     value = numbers("surface_friction", surface_friction, low=low, high=high)
+    if np.shape(value):
+        raise InputError("surface_friction is an array; give a number, and call once for each")
     try:
         return float(value)
     except TypeError:
