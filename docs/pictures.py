@@ -239,7 +239,7 @@ def accuracy(figure: Any) -> None:
         if known.angle_of_repose_deg is not None:
             repose = [known.angle_of_repose_deg] * 2
             media.plot([place - 0.4, place + 0.4], repose, color=GREY, lw=1)
-    grains.plot([18, 35], [18, 35], color=GREY, lw=1, label="φ of the shear cell")
+    grains.plot([18, 37], [18, 37], color=GREY, lw=1, label="φ of the shear cell")
     media.plot([], [], color=GREY, lw=1, label="angle of repose, a guide")
     for leg, colour in LEGS.items():
         grains.plot([], [], "o", color=colour, label=leg.replace("_", " "))
