@@ -9,7 +9,8 @@ the upper one moves along at an inertial number of 2e-3, so slowly that its size
 and is free to rise. Rows: shear strain, rise over the height, τ and σ on the lower plate and τ on
 the upper one [Pa]. In the steady state both τ agree and σ is the load.
 
-**Tilting bed.** Gravity is turned by 2.5° a second until the bed flows, and back until it rests.
+**Tilting bed.** Gravity is turned by 2.5° a second until the bed flows, and back until it rests;
+beds of clumps are small, and are not turned back.
 Rows: angle [deg] and the mean speed along of the grains above the middle [m/s].
 
 Damp soil, and soil that contracts, is sheared in smaller cells under two loads (`firm`, `light`),
@@ -156,10 +157,8 @@ jump SELF {name}
 label {name}_end
 """
 
-    back = "variable turned equal ${angle}\n" + turn(
-        "back", f"${{turned}}-{STEP_DEG}*v_back", f"< {RESTS}"
-    )
-    back = "" if soil.clump else back
+    return_way = turn("back", f"${{turned}}-{STEP_DEG}*v_back", f"< {RESTS}")
+    back = "" if soil.clump else f"variable turned equal ${{angle}}\n{return_way}"
     return f"""{engine.header(soil, walls=False)}read_restart bed.restart
 {engine.contacts(soil)}
 {glued(soil, folder)}region upper block INF INF INF INF {0.5 * top:.5g} INF units box

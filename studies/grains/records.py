@@ -68,9 +68,9 @@ def records() -> Iterator[tuple[str, Record]]:
         ))  # fmt: skip
 
 
-def cells(soil: str, kind: str, folder: Path = GRAINS) -> list[float]:
-    """Critical friction angle by each bed [deg]."""
-    paths = sorted(folder.glob(f"{soil}_{kind}_*.csv"))
+def cells(soil: str, *kinds: str, folder: Path = GRAINS) -> list[float]:
+    """Critical friction angle by each bed in some kinds of cells [deg]."""
+    paths = [path for kind in kinds for path in sorted(folder.glob(f"{soil}_{kind}_*.csv"))]
     rows = [np.loadtxt(path, delimiter=",", skiprows=3, unpack=True) for path in paths]
     return [float(elements.critical(row[0], row[2] / row[3]).mean()) for row in rows]
 
@@ -85,7 +85,7 @@ def truth(name: str) -> tuple[float, float]:
         cell = elements.cohesive(GRAINS, packing(name))
         return cell.phi_deg, cell.phi_sd_deg
     soil = f"{name[0]}-loose"
-    values = [phi for kind in CELLS for phi in cells(soil, kind)]
+    values = cells(soil, *CELLS)
     return float(np.mean(values)), CELL_SD_DEG / len(values) ** 0.5
 
 
@@ -126,24 +126,25 @@ def listed() -> Iterator[tuple[str, ...]]:
             head = paths[0].read_text().split("volume fraction ")[1]
             yield (
                 name, soil.words, f"{soil.sliding} / {soil.rolling}", head[:5],
-                means([] if soil.attraction else [x for kind in CELLS for x in cells(name, kind)]),
+                means([] if soil.attraction else cells(name, *CELLS)),
                 *(means(cells(name, kind)) for kind in CELLS), bodies(name),
             )  # fmt: skip
 
 
 def by_code(soil: str) -> str:
     """Critical φ of one soil in small cells by two codes."""
-    both = {code: means(cells(soil, "firm", CODES / code.lower())) for code in ("LIGGGHTS", "YADE")}
+    both = {
+        code: means(cells(soil, "firm", folder=CODES / code.lower()))
+        for code in ("LIGGGHTS", "YADE")
+    }
     return f"{soil} " + " and ".join(f"{value} by {code}" for code, value in both.items())
 
 
 def by_load() -> str:
     """Critical φ of dry soils under 0.5 kPa less that under 1.5 kPa, and its standard error."""
-    heavy = {soil: cells(soil, "shear") + cells(soil, "firm") for soil in run.soils()}
-    off = [
-        np.mean(cells(soil, "light")) - np.mean(angles) for soil, angles in heavy.items()
-        if angles and cells(soil, "light") and not run.soils()[soil].attraction
-    ]  # fmt: skip
+    dry = [name for name, soil in run.soils().items() if not soil.attraction]
+    pairs = [(cells(name, "light"), cells(name, "shear", "firm")) for name in dry]
+    off = [np.mean(light) - np.mean(heavy) for light, heavy in pairs if light and heavy]
     error = np.std(off, ddof=1) / len(off) ** 0.5
     return f"{np.mean(off):+.1f} ± {error:.1f}° in {len(off)} soils"
 
